@@ -1,0 +1,1 @@
+//! Frame sources: dataset folders and image folders

@@ -1,0 +1,1 @@
+//! Client library and command of the grnet pose stream

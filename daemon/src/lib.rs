@@ -1,0 +1,1 @@
+//! The grnet camera-to-pose daemon

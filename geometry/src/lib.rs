@@ -1,0 +1,1 @@
+//! Rigid-body poses, trajectories, alignment and scores

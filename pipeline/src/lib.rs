@@ -1,0 +1,1 @@
+//! step(frame) -> estimate: preprocess, infer, fuse

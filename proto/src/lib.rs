@@ -1,0 +1,1 @@
+//! Messages, service names and quality of service of the grnet pose stream
