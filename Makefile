@@ -1,0 +1,44 @@
+# grnet: `make demo` shows it, `make test` proves it. Everything else is listed by `make help`.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+CARGO ?= cargo
+export RUSTDOCFLAGS := -D warnings
+
+.PHONY: help
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+.PHONY: demo
+demo: ## stream the synthetic sequence through the daemon and watch the poses beside ground truth
+	@scripts/install-packages build
+	@scripts/demo
+
+.PHONY: test
+test: ## every default test (no GPU, no network while they run)
+	@scripts/install-packages build test
+	@scripts/python-venv iceoryx2==0.10.0
+	$(CARGO) build --workspace --bins
+	@if $(CARGO) nextest --version >/dev/null 2>&1; then \
+	  echo "$(CARGO) nextest run --workspace"; $(CARGO) nextest run --workspace --features grnet-capture/conformance; \
+	else echo "$(CARGO) test --workspace (install cargo-nextest for a quicker run)"; $(CARGO) test --workspace --lib --bins --tests --features grnet-capture/conformance; fi
+	$(CARGO) test --workspace --doc
+
+.PHONY: lint
+lint: ## formatting, clippy, docs, licences, bans and sources of the dependencies
+	@scripts/install-packages build
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets -- -D warnings
+	$(CARGO) doc --workspace --no-deps --quiet
+	@$(CARGO) deny --version >/dev/null 2>&1 || { echo "installing cargo-deny"; $(CARGO) install cargo-deny --locked --debug --quiet; }
+	$(CARGO) deny --log-level error check bans licenses sources
+
+.PHONY: bench
+bench: ## criterion benches (long): geometry, preprocessing, network, publish to receive
+	@scripts/install-packages build
+	$(CARGO) bench --workspace
+
+.PHONY: data-test
+data-test: ## the tests that read real recordings; they look in $$GRNET_DATA, else in ../shared/data
+	$(CARGO) test --workspace --lib --tests -- --nocapture data_
