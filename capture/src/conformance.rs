@@ -1,0 +1,1 @@
+//! The contract of `FrameSource` as a test suite.

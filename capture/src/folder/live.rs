@@ -1,0 +1,165 @@
+//! A recording played like a camera: a thread decodes ahead, waits until the frame is due, and leaves it in a
+//! slot where a newer frame replaces it.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use grnet_frame::{CaptureTime, Received, SourceError};
+
+use super::reader::Reader;
+use crate::clock::monotonic_ns;
+
+type Item = Result<grnet_frame::Frame, SourceError>;
+
+/// The playing thread and its slot.
+#[derive(Debug)]
+pub(crate) struct Live {
+    slot: Arc<Slot>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug, Default)]
+struct Slot {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    newest: Option<Item>,
+    dropped: u64,
+    /// Nothing more will come.
+    over: bool,
+    /// The source is being closed.
+    stop: bool,
+    failed: bool,
+}
+
+impl Live {
+    /// Starts playing at `factor` times the recorded pace.
+    pub fn start(reader: Reader, factor: f64) -> std::io::Result<Self> {
+        let slot = Arc::new(Slot::default());
+        let theirs = Arc::clone(&slot);
+        let thread = std::thread::Builder::new().name("folder-live".into()).spawn(move || {
+            let guard = OverGuard(&theirs);
+            play(reader, factor, &theirs);
+            drop(guard);
+        })?;
+        Ok(Self { slot, thread: Some(thread) })
+    }
+
+    pub fn next(&mut self, timeout: Duration) -> Result<Received, Failed> {
+        let deadline = Instant::now().checked_add(timeout);
+        let mut state = self.slot.lock();
+        loop {
+            match state.newest.take() {
+                Some(item) => return item.map(Received::Frame).map_err(Failed::Source),
+                None if state.failed => return Err(Failed::Thread),
+                None if state.over => return Ok(Received::End),
+                None => {}
+            }
+            let left = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+            state = match left {
+                Some(Duration::ZERO) => return Ok(Received::Timeout),
+                Some(left) => self.slot.wait(state, left),
+                None => self.slot.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            };
+        }
+    }
+
+    pub fn dropped(&self) -> u64 {
+        self.slot.lock().dropped
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.slot.lock().stop = true;
+        self.slot.changed.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // A panic in it was already told by `failed`.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Why the thread gave no frame.
+#[derive(Debug)]
+pub(crate) enum Failed {
+    Source(SourceError),
+    Thread,
+}
+
+impl Slot {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait<'a>(&self, state: MutexGuard<'a, State>, left: Duration) -> MutexGuard<'a, State> {
+        self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0
+    }
+
+    /// Puts a frame where the consumer finds it; one that it has not taken is lost.
+    fn put(&self, item: Item) {
+        let mut state = self.lock();
+        if state.newest.replace(item).is_some() {
+            state.dropped += 1;
+        }
+        drop(state);
+        self.changed.notify_all();
+    }
+
+    /// Waits until the time on `CLOCK_MONOTONIC`; false when the source is closed instead.
+    fn wait_until(&self, due_ns: u64) -> bool {
+        let mut state = self.lock();
+        loop {
+            if state.stop {
+                return false;
+            }
+            let left_ns = due_ns.saturating_sub(monotonic_ns());
+            if left_ns == 0 {
+                return true;
+            }
+            state = self.wait(state, Duration::from_nanos(left_ns));
+        }
+    }
+}
+
+/// Tells the consumer that the thread is gone, however it ended.
+struct OverGuard<'a>(&'a Slot);
+
+impl Drop for OverGuard<'_> {
+    fn drop(&mut self) {
+        let mut state = self.0.lock();
+        state.over = true;
+        state.failed = std::thread::panicking();
+        drop(state);
+        self.0.changed.notify_all();
+    }
+}
+
+fn play(mut reader: Reader, factor: f64, slot: &Slot) {
+    let mut step = 0;
+    let mut start_ns = None;
+    loop {
+        if let Some(start_ns) = start_ns {
+            let elapsed_ns = (monotonic_ns().saturating_sub(start_ns) as f64 * factor) as u64;
+            let newest = reader.schedule.newest_due(step, elapsed_ns);
+            if newest > step && reader.schedule.step(step).is_some() {
+                slot.lock().dropped += newest - step;
+                step = newest;
+            }
+        }
+        let Some(planned) = reader.schedule.step(step) else { return };
+        let offset_ns = (planned.offset_ns as f64 / factor) as u64;
+        let read = reader.read(step);
+        // The recording starts when its first frame is ready.
+        let due_ns = *start_ns.get_or_insert_with(monotonic_ns) + offset_ns;
+        if !slot.wait_until(due_ns) {
+            return;
+        }
+        slot.put(read.map(|frame| frame.at(CaptureTime::monotonic(due_ns))));
+        step += 1;
+    }
+}

@@ -1,0 +1,203 @@
+//! Opening a camera and agreeing with its driver on format, size, rate and controls.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::{io, panic};
+
+use grnet_frame::PixelFormat;
+use v4l::capability::Flags;
+use v4l::frameinterval::FrameIntervalEnum;
+use v4l::framesize::FrameSizeEnum;
+use v4l::video::Capture;
+use v4l::video::capture::Parameters;
+use v4l::{Device, Format, FourCC, Fraction};
+
+use super::{V4l2Options, controls};
+
+/// The formats that can be used, with the FourCC under which V4L2 knows them; the cheapest to convert first.
+pub(super) const FORMATS: [(PixelFormat, &[u8; 4]); 5] = [
+    (PixelFormat::Yuyv, b"YUYV"),
+    (PixelFormat::Nv12, b"NV12"),
+    (PixelFormat::Rgb8, b"RGB3"),
+    (PixelFormat::Gray8, b"GREY"),
+    (PixelFormat::Jpeg, b"MJPG"),
+];
+
+/// What driver and configuration have agreed on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Agreed {
+    pub format: PixelFormat,
+    pub width_px: u32,
+    pub height_px: u32,
+    pub stride_bytes: usize,
+    pub rate_hz: Option<f64>,
+}
+
+/// Why a camera is not open.
+#[derive(Debug)]
+pub(super) enum OpenError {
+    /// Not there, busy, no permission: may get better.
+    Unavailable(String),
+    /// What was asked cannot be had from it.
+    Unfit(String),
+}
+
+pub(super) fn open(options: &V4l2Options) -> Result<(Device, Agreed), OpenError> {
+    let path = &options.device;
+    let device = Device::with_path(path).map_err(|e| OpenError::Unavailable(unavailable(path, &e)))?;
+    let agreed = no_panic(path, || agree(&device, options))?;
+    Ok((device, agreed))
+}
+
+/// Crate `v4l` panics on strings and enumerators of the driver that it does not know; a strange camera must not end us.
+pub(super) fn no_panic<T>(path: &Path, f: impl FnOnce() -> Result<T, OpenError>) -> Result<T, OpenError> {
+    panic::catch_unwind(panic::AssertUnwindSafe(f)).unwrap_or_else(|_| {
+        Err(OpenError::Unfit(format!("the driver of {} describes itself in a way that cannot be read", path.display())))
+    })
+}
+
+fn agree(device: &Device, options: &V4l2Options) -> Result<Agreed, OpenError> {
+    let gone = |e: io::Error| OpenError::Unavailable(unavailable(&options.device, &e));
+    let capabilities = device.query_caps().map_err(gone)?.capabilities;
+    if !capabilities.contains(Flags::VIDEO_CAPTURE | Flags::STREAMING) {
+        return Err(OpenError::Unfit(
+            "it is no streaming video capture device (metadata and output nodes have names like it); run `grnetd devices`"
+                .into(),
+        ));
+    }
+    let current = device.format().map_err(gone)?;
+    let format = match options.format {
+        Some(format) => format,
+        None => preferred(device, current.fourcc).map_err(gone)?,
+    };
+    let (width, height) = options.size_px.unwrap_or((current.width, current.height));
+    let asked = Format::new(width, height, fourcc(format));
+    let found = device.set_format(&asked).map_err(|e| match e.raw_os_error() {
+        Some(EBUSY) => OpenError::Unavailable("another program streams from it".into()),
+        _ => OpenError::Unavailable(format!("setting {width}x{height} {format} failed: {e}")),
+    })?;
+    let exact = (found.width, found.height, found.fourcc) == (width, height, asked.fourcc);
+    let Some(found_format) = pixel_format(found.fourcc) else {
+        return Err(OpenError::Unfit(format!("it gives {} only, which is not understood", found.fourcc)));
+    };
+    if !exact && !options.accept_substitutes {
+        let offers = offers(device);
+        return Err(OpenError::Unfit(format!(
+            "it offers no {width}x{height} {format} (the driver would give {}x{} {found_format}; available: {offers}); set \
+             source.size_px and source.format to one of these, or source.accept_substitutes = true",
+            found.width, found.height
+        )));
+    }
+    let rate_hz = agree_rate(device, options)?;
+    controls::apply(device, &options.controls).map_err(OpenError::Unfit)?;
+    let least_stride = found_format.row_bytes(found.width).unwrap_or(0);
+    Ok(Agreed {
+        format: found_format,
+        width_px: found.width,
+        height_px: found.height,
+        stride_bytes: (found.stride as usize).max(least_stride),
+        rate_hz,
+    })
+}
+
+fn agree_rate(device: &Device, options: &V4l2Options) -> Result<Option<f64>, OpenError> {
+    let rate = |p: &Parameters| {
+        let Fraction { numerator, denominator } = p.interval;
+        (numerator > 0 && denominator > 0).then(|| f64::from(denominator) / f64::from(numerator))
+    };
+    let Some(wanted_hz) = options.rate_hz else {
+        return Ok(device.params().ok().as_ref().and_then(rate));
+    };
+    // Milliseconds would miss 29.97: the interval is given in units of 1/(1000 rate) s.
+    let interval = Fraction::new(1000, (wanted_hz * 1000.0).round() as u32);
+    let found = device
+        .set_params(&Parameters::new(interval))
+        .map_err(|e| OpenError::Unfit(format!("it does not let the frame rate be set ({e}); leave out source.rate_hz")))?;
+    let found_hz = rate(&found);
+    let close = found_hz.is_some_and(|hz| (hz - wanted_hz).abs() <= 0.01 * wanted_hz);
+    if !close && !options.accept_substitutes {
+        let found = found_hz.map_or("an unknown rate".into(), |hz| format!("{hz:.2} Hz"));
+        return Err(OpenError::Unfit(format!(
+            "it gives {found} where {wanted_hz} Hz was asked; set source.rate_hz to a rate that `grnetd devices` lists, or \
+             source.accept_substitutes = true"
+        )));
+    }
+    Ok(found_hz)
+}
+
+/// The current format when it is understood, else the first that the driver offers and we prefer.
+fn preferred(device: &Device, current: FourCC) -> io::Result<PixelFormat> {
+    if let Some(format) = pixel_format(current) {
+        return Ok(format);
+    }
+    let offered = device.enum_formats()?;
+    let known = FORMATS.iter().find(|(_, code)| offered.iter().any(|d| d.fourcc == FourCC::new(code)));
+    Ok(known.map_or(PixelFormat::Yuyv, |(format, _)| *format))
+}
+
+/// `640x480 YUYV 15/30 Hz, ...`: what the camera offers, in the formats that are understood.
+pub(super) fn offers(device: &Device) -> String {
+    let mut text = String::new();
+    for (format, code) in FORMATS {
+        let Ok(sizes) = device.enum_framesizes(FourCC::new(code)) else { continue };
+        for size in sizes {
+            let separator = if text.is_empty() { "" } else { ", " };
+            let _ = match size.size {
+                FrameSizeEnum::Discrete(s) => write!(
+                    text,
+                    "{separator}{}x{} {format}{}",
+                    s.width,
+                    s.height,
+                    rates(device, code, s.width, s.height)
+                ),
+                FrameSizeEnum::Stepwise(s) => write!(
+                    text,
+                    "{separator}{}x{}..{}x{} {format}",
+                    s.min_width, s.min_height, s.max_width, s.max_height
+                ),
+            };
+        }
+    }
+    if text.is_empty() { "none".into() } else { text }
+}
+
+fn rates(device: &Device, code: &[u8; 4], width_px: u32, height_px: u32) -> String {
+    let Ok(intervals) = device.enum_frameintervals(FourCC::new(code), width_px, height_px) else {
+        return String::new();
+    };
+    let rates = intervals.iter().filter_map(|interval| match &interval.interval {
+        FrameIntervalEnum::Discrete(f) if f.numerator > 0 => {
+            Some(format!("{:.4}", f64::from(f.denominator) / f64::from(f.numerator)))
+        }
+        _ => None,
+    });
+    let rates: Vec<_> = rates.map(|r| r.trim_end_matches('0').trim_end_matches('.').to_owned()).collect();
+    if rates.is_empty() { String::new() } else { format!(" {} Hz", rates.join("/")) }
+}
+
+fn fourcc(format: PixelFormat) -> FourCC {
+    let (_, code) = FORMATS.iter().find(|(f, _)| *f == format).expect("FORMATS lists every pixel format");
+    FourCC::new(code)
+}
+
+fn pixel_format(code: FourCC) -> Option<PixelFormat> {
+    // UVC cameras differ in whether they call motion JPEG `MJPG` or `JPEG`.
+    if &code.repr == b"JPEG" {
+        return Some(PixelFormat::Jpeg);
+    }
+    FORMATS.iter().find(|(_, c)| **c == code.repr).map(|(f, _)| *f)
+}
+
+/// EBUSY.
+const EBUSY: i32 = 16;
+
+fn unavailable(path: &Path, error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::NotFound => "no such device (unplugged, or another name: run `grnetd devices`)".into(),
+        io::ErrorKind::PermissionDenied => {
+            format!("no permission to open it: let this user into the group that owns {} (video)", path.display())
+        }
+        _ if error.raw_os_error() == Some(EBUSY) => "another program holds it".into(),
+        _ => error.to_string(),
+    }
+}

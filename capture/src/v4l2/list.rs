@@ -1,0 +1,84 @@
+//! Which cameras there are and what they offer: `grnetd devices`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use v4l::capability::Flags;
+use v4l::{Device, context};
+
+use super::controls::{self, ControlInfo};
+use super::device::{OpenError, no_panic, offers};
+
+/// A V4L2 capture device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CameraInfo {
+    /// `/dev/video0`.
+    pub device: PathBuf,
+    /// Names that stay the same over reboots: links under `/dev/v4l/by-id` and `by-path`.
+    pub stable_names: Vec<PathBuf>,
+    /// Card name as the driver gives it.
+    pub card: String,
+    /// Driver name: `uvcvideo`.
+    pub driver: String,
+    /// Formats, sizes and rates in the formats that are understood: `640x480 YUYV 15/30 Hz, ...`.
+    pub offers: String,
+    /// Controls that take one number.
+    pub controls: Vec<ControlInfo>,
+    /// Why it could not be asked, in place of the above.
+    pub problem: Option<String>,
+}
+
+/// Every V4L2 node that captures video, in the order of their numbers.
+pub fn list_cameras() -> Vec<CameraInfo> {
+    // Crate `v4l` panics on names under /dev that start like a camera and carry no number.
+    let nodes = std::panic::catch_unwind(context::enum_devices).unwrap_or_default();
+    let mut paths: Vec<PathBuf> = nodes.iter().map(|n| n.path().to_owned()).collect();
+    paths.sort_by(|a, b| alphanumeric_sort::compare_path(a, b));
+    paths.iter().filter_map(|path| describe(path)).collect()
+}
+
+/// `None` for nodes that do not capture.
+fn describe(path: &Path) -> Option<CameraInfo> {
+    let mut info = CameraInfo {
+        device: path.to_owned(),
+        stable_names: stable_names(path),
+        card: String::new(),
+        driver: String::new(),
+        offers: String::new(),
+        controls: Vec::new(),
+        problem: None,
+    };
+    let device = match Device::with_path(path) {
+        Ok(device) => device,
+        Err(error) => {
+            info.problem = Some(error.to_string());
+            return Some(info);
+        }
+    };
+    let asked = no_panic(path, || {
+        let caps = device.query_caps().map_err(|e| OpenError::Unavailable(e.to_string()))?;
+        Ok((caps, offers(&device)))
+    });
+    match asked {
+        Ok((caps, offers)) => {
+            if !caps.capabilities.contains(Flags::VIDEO_CAPTURE | Flags::STREAMING) {
+                return None;
+            }
+            info = CameraInfo { card: caps.card, driver: caps.driver, offers, ..info };
+            info.controls = controls::list(&device);
+        }
+        Err(OpenError::Unavailable(reason) | OpenError::Unfit(reason)) => info.problem = Some(reason),
+    }
+    Some(info)
+}
+
+fn stable_names(device: &Path) -> Vec<PathBuf> {
+    let mut names = Vec::new();
+    for folder in ["/dev/v4l/by-id", "/dev/v4l/by-path"] {
+        let Ok(entries) = fs::read_dir(folder) else { continue };
+        let links = entries.flatten().map(|e| e.path());
+        names.extend(links.filter(|link| fs::canonicalize(link).is_ok_and(|target| target == device)));
+    }
+    names.sort();
+    names
+}
