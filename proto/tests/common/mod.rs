@@ -1,0 +1,54 @@
+//! A transport root of one's own per test, so that tests disturb neither each other nor a daemon.
+
+use std::path::PathBuf;
+
+use grnet_proto::{AccessMode, BootId, CameraName, Node, PoseSample, Reason, Role, Root, Status};
+use tempfile::TempDir;
+
+pub struct Rig {
+    _folder: TempDir,
+    pub path: PathBuf,
+    pub root: Root,
+    pub camera: CameraName,
+    pub boot_id: BootId,
+}
+
+impl Rig {
+    pub fn new() -> Self {
+        let folder = tempfile::Builder::new().prefix("grnet").tempdir_in("/tmp").unwrap();
+        let path = folder.path().to_owned();
+        Self {
+            root: root(&path),
+            path,
+            _folder: folder,
+            camera: CameraName::default(),
+            boot_id: BootId::random().unwrap(),
+        }
+    }
+
+    pub fn daemon(&self) -> Node {
+        Node::open(AccessMode::User, &self.root, Role::Daemon).unwrap()
+    }
+
+    pub fn client(&self) -> Node {
+        Node::open(AccessMode::User, &self.root, Role::Client).unwrap()
+    }
+
+    pub fn sample(&self, sequence: u64) -> PoseSample {
+        let mut sample = PoseSample::unknown(self.boot_id, &self.camera, Status::TRACKING, Reason::NONE);
+        sample.sequence = sequence;
+        sample
+    }
+}
+
+/// The root in `path`; its prefix is unique too, because names in shared memory are global.
+pub fn root(path: &std::path::Path) -> Root {
+    let prefix: String = path
+        .file_name()
+        .unwrap()
+        .to_string_lossy()
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
+        .collect();
+    Root::own(path, Some(&prefix)).unwrap()
+}
