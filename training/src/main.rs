@@ -1,0 +1,18 @@
+//! The `grnet-train` command.
+#![forbid(unsafe_code)]
+
+mod cli;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+fn main() -> ExitCode {
+    match cli::Cli::parse().run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("grnet-train: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
