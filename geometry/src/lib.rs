@@ -11,10 +11,10 @@
 //!   [`Covariance6`]).
 //!
 //! ```
-//! use grnet_geometry::{nalgebra::vector, se3, Pose};
+//! use grnet_geometry::{nalgebra::Vector3, se3, Pose};
 //!
 //! let world_from_a = Pose::translation(1.0, 0.0, 0.0);
-//! let world_from_b = Pose::new(vector![1.0, 2.0, 0.0], vector![0.0, 0.0, 0.1]);
+//! let world_from_b = Pose::new(Vector3::new(1.0, 2.0, 0.0), Vector3::new(0.0, 0.0, 0.1));
 //! let a_from_b = se3::relative(&world_from_a, &world_from_b);
 //! let composed = world_from_a * a_from_b;
 //! assert!((composed.translation.vector - world_from_b.translation.vector).norm() < 1e-12);

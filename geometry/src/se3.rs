@@ -50,8 +50,8 @@ impl Tangent {
 /// `Exp(xi)`: the pose reached by moving with the twist `xi` for one unit of time.
 ///
 /// ```
-/// use grnet_geometry::{nalgebra::vector, se3::{self, Tangent}};
-/// let xi = Tangent::new(vector![1.0, 2.0, 3.0], vector![0.1, -0.2, 0.3]);
+/// use grnet_geometry::{nalgebra::Vector3, se3::{self, Tangent}};
+/// let xi = Tangent::new(Vector3::new(1.0, 2.0, 3.0), Vector3::new(0.1, -0.2, 0.3));
 /// assert!((se3::log(&se3::exp(&xi)).0 - xi.0).norm() < 1e-12);
 /// ```
 pub fn exp(xi: &Tangent) -> Pose {

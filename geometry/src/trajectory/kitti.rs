@@ -6,14 +6,14 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Translation3};
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Translation3, Vector3};
 
 use super::{
     TrajectoryError,
     error::quoted,
     tum::{content_lines, parse_finite, read_text, write_text},
 };
-use crate::{Pose, quaternion};
+use crate::{Pose, align::Similarity, quaternion};
 
 /// How far a printed rotation may be from a true one (Frobenius norm); six digits give about 1e-6.
 pub const ROTATION_TOLERANCE: f64 = 1e-2;
@@ -77,6 +77,38 @@ impl KittiPoses {
     /// Whether there is no pose.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
+    }
+
+    /// The poses seen from the first one's camera: every matrix becomes `first^-1 * matrix`.
+    pub fn anchored(&self) -> Self {
+        let Some(first) = self.poses.first() else { return self.clone() };
+        let projected = first.world_from_camera.inverse();
+        let inverse = first.rotation().try_inverse().unwrap_or_else(|| first.rotation().transpose());
+        let origin = first.matrix.column(3).into_owned();
+        self.map(|p| {
+            let translation = inverse * (p.matrix.column(3) - origin);
+            (inverse * p.rotation(), translation, projected * p.world_from_camera)
+        })
+    }
+
+    /// The poses seen from another world, matrices included.
+    pub fn transformed(&self, similarity: &Similarity) -> Self {
+        let rotation = similarity.rotation.to_rotation_matrix().into_inner();
+        self.map(|p| {
+            let translation = similarity.apply_point(&p.matrix.column(3).into_owned());
+            (rotation * p.rotation(), translation, similarity.apply(&p.world_from_camera))
+        })
+    }
+
+    fn map(&self, moved: impl Fn(&KittiPose) -> (Matrix3<f64>, Vector3<f64>, Pose)) -> Self {
+        let poses = self.poses.iter().map(|p| {
+            let (rotation, translation, world_from_camera) = moved(p);
+            let mut matrix = Matrix3x4::zeros();
+            matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+            matrix.set_column(3, &translation);
+            KittiPose { frame: p.frame, matrix, world_from_camera }
+        });
+        Self { poses: poses.collect(), indexed: self.indexed }
     }
 
     /// The pose of a frame, if there is one.
