@@ -22,3 +22,6 @@ pub mod decode;
 pub mod folder;
 
 pub use folder::{FolderOptions, FolderSource, Pace};
+
+#[cfg(test)]
+mod tests;

@@ -1,12 +1,13 @@
 //! From files and numbers to recordings: choose, date, pose, calibrate.
 
+use grnet_geometry::Pose;
 use std::path::{Path, PathBuf};
 
 use grnet_frame::Camera;
 
 use super::intrinsics::Intrinsics;
 use super::listing::{Listed, Listing, PoseOrigin, Set, names};
-use super::pose::{Invalid, Pose};
+use super::pose::Invalid;
 use super::pose_table::{PoseTable, known, pose_at};
 use super::{DatasetError, OpenOptions, RecordedFrame, Recording, seven_scenes, split};
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::listing::{Set, names};
-use super::{DatasetError, Layout, OpenOptions, images, kitti, seven_scenes};
+use super::{DatasetError, Layout, OpenOptions, colmap, euroc, images, kitti, seven_scenes, tum};
 
 /// The first layout that fits, or an error that says what was looked for.
 pub(crate) fn layout(path: &Path) -> Result<Layout, DatasetError> {
@@ -27,6 +27,9 @@ pub(crate) fn list(layout: Layout, path: &Path, options: &OpenOptions) -> Result
         Layout::Auto => list(self::layout(path)?, path, options),
         Layout::SevenScenes => single_camera(seven_scenes::list(path)),
         Layout::Kitti => kitti::list(path, options),
+        Layout::Euroc => euroc::list(path, options),
+        Layout::Tum => single_camera(tum::list(path, options)),
+        Layout::Colmap => colmap::list(path, options),
         Layout::Images => single_camera(images::list(path)),
     }
 }
@@ -36,6 +39,9 @@ fn fits(layout: Layout, path: &Path) -> bool {
         Layout::Auto => false,
         Layout::SevenScenes => seven_scenes::fits(path),
         Layout::Kitti => kitti::fits(path),
+        Layout::Euroc => euroc::fits(path),
+        Layout::Tum => tum::fits(path),
+        Layout::Colmap => colmap::fits(path),
         Layout::Images => images::fits(path),
     }
 }
@@ -45,6 +51,9 @@ fn what(layout: Layout) -> &'static str {
         Layout::Auto => "",
         Layout::SevenScenes => seven_scenes::LOOKED_FOR,
         Layout::Kitti => kitti::LOOKED_FOR,
+        Layout::Euroc => euroc::LOOKED_FOR,
+        Layout::Tum => tum::LOOKED_FOR,
+        Layout::Colmap => colmap::LOOKED_FOR,
         Layout::Images => images::LOOKED_FOR,
     }
 }

@@ -6,6 +6,7 @@
 //! -t = -K^-1 p_4 in camera 0. `times.txt` must cover every image; ground truth may be shorter (frames without
 //! pose) or longer (surplus ignored), and there is none for sequences 11 to 21.
 
+use grnet_geometry::Pose;
 use std::path::{Path, PathBuf};
 
 use grnet_frame::Distortion;
@@ -14,7 +15,7 @@ use super::intrinsics::Intrinsics;
 use super::listing::{
     Listed, Listing, PoseOrigin, Set, entries, folder_name, frame_number, names, numbered_images,
 };
-use super::pose::{Invalid, Pose};
+use super::pose::Invalid;
 use super::pose_table::PoseTable;
 use super::text::{TextFile, quoted};
 use super::{DatasetError, Layout, OpenOptions};

@@ -1,9 +1,9 @@
 //! What every layout reader hands over: files, numbers, times, and where poses and intrinsics come from.
 
+use grnet_geometry::Pose;
 use std::path::{Path, PathBuf};
 
 use super::intrinsics::Intrinsics;
-use super::pose::Pose;
 use super::pose_table::PoseTable;
 use super::{DatasetError, Layout};
 use crate::decode::is_image_name;

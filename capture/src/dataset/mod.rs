@@ -4,6 +4,9 @@
 //! (and camera); [`open_one`] insists on a single one. Nothing is decoded here: a missing or corrupt image
 //! shows when it is played ([`crate::FolderSource`]), where it costs one frame.
 //!
+//! The recording's folder may be the dataset's root or one sequence of it. Ground truth in another file (a TUM
+//! trajectory, the pseudo ground truth of 7-Scenes, ...) is given by [`OpenOptions::poses`].
+//!
 //! ```no_run
 //! use grnet_capture::dataset::{self, OpenOptions, Split};
 //! let options = OpenOptions { split: Split::List("interleave_train.txt".into()), ..Default::default() };
@@ -26,8 +29,11 @@
 //! | any text that does not parse | an error with file, line, what was found and what was expected |
 
 mod assemble;
+mod colmap;
+mod colmap_camera;
 mod detect;
 mod error;
+mod euroc;
 mod images;
 mod intrinsics;
 mod kitti;
@@ -35,17 +41,19 @@ mod listing;
 mod options;
 mod pose;
 mod pose_table;
+mod sensor_yaml;
 mod seven_scenes;
 mod split;
 mod text;
+mod tum;
 
 use std::path::{Path, PathBuf};
 
 use grnet_frame::Camera;
 
 pub use error::DatasetError;
+pub use grnet_geometry::Pose;
 pub use options::{Association, InvalidPoses, Layout, OpenOptions, Split};
-pub use pose::Pose;
 
 /// One image of a recording.
 #[derive(Debug, Clone, PartialEq)]

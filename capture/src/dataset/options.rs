@@ -19,13 +19,20 @@ pub enum Layout {
     SevenScenes,
     /// KITTI odometry: `sequences/06/image_0/000000.png`, `times.txt`, `calib.txt`, `poses/06.txt`.
     Kitti,
+    /// EuRoC MAV / ASL: `mav0/cam0/data.csv`, `sensor.yaml`, `state_groundtruth_estimate0/data.csv`.
+    Euroc,
+    /// TUM RGB-D: `rgb.txt`, `groundtruth.txt`.
+    Tum,
+    /// COLMAP text model: `cameras.txt`, `images.txt`.
+    Colmap,
     /// A folder of PNG or JPEG images in natural order of their names.
     Images,
 }
 
 impl Layout {
     /// Every layout that can be read, in the order in which they are looked for.
-    pub const ALL: [Self; 3] = [Self::SevenScenes, Self::Kitti, Self::Images];
+    pub const ALL: [Self; 6] =
+        [Self::SevenScenes, Self::Kitti, Self::Euroc, Self::Tum, Self::Colmap, Self::Images];
 }
 
 impl fmt::Display for Layout {
@@ -34,6 +41,9 @@ impl fmt::Display for Layout {
             Self::Auto => "automatic",
             Self::SevenScenes => "7-Scenes",
             Self::Kitti => "KITTI",
+            Self::Euroc => "EuRoC",
+            Self::Tum => "TUM RGB-D",
+            Self::Colmap => "COLMAP",
             Self::Images => "images",
         })
     }

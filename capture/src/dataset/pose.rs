@@ -1,11 +1,9 @@
 //! Poses from the numbers that datasets write.
 
-use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use grnet_geometry::{Pose, quaternion};
+use nalgebra::{Matrix3, Translation3};
 
 use super::{DatasetError, InvalidPoses, text::Line};
-
-/// A rigid motion; as a name says: `world_from_camera`, metres.
-pub type Pose = Isometry3<f64>;
 
 /// Largest entry of |R^T R - I| of a matrix that still counts as a rotation: datasets print six digits, and
 /// the fused poses of depth cameras drift by some 1e-4.
@@ -29,11 +27,8 @@ pub(crate) fn from_rows(rows: &[f64; 12]) -> Result<Pose, String> {
     if matrix.determinant() < 0.0 {
         return Err("R has determinant -1: a mirror image is no rotation".into());
     }
-    let nearest = nearest_rotation(matrix).ok_or("R has no nearest rotation")?;
-    Ok(Pose::from_parts(
-        Translation3::new(rows[3], rows[7], rows[11]),
-        UnitQuaternion::from_rotation_matrix(&nearest),
-    ))
+    let rotation = quaternion::from_matrix(&matrix, f64::INFINITY).map_err(|error| error.to_string())?;
+    Ok(Pose::from_parts(Translation3::new(rows[3], rows[7], rows[11]), rotation))
 }
 
 /// A rigid motion from a translation and a quaternion (x, y, z, w), which is normalised.
@@ -41,16 +36,12 @@ pub(crate) fn from_quaternion(translation: [f64; 3], xyzw: [f64; 4]) -> Result<P
     if let Some(bad) = translation.iter().chain(&xyzw).find(|value| !value.is_finite()) {
         return Err(format!("the pose holds {bad}, which is no finite number"));
     }
-    let [x, y, z, w] = xyzw;
-    let quaternion = Quaternion::new(w, x, y, z);
-    let norm = quaternion.norm();
+    let norm = xyzw.iter().map(|c| c * c).sum::<f64>().sqrt();
     if !((norm - 1.0).abs() <= MAX_NORM_ERROR) {
         return Err(format!("the quaternion has norm {norm:.4}, not 1"));
     }
-    Ok(Pose::from_parts(
-        Translation3::from(Vector3::from(translation)),
-        UnitQuaternion::new_normalize(quaternion),
-    ))
+    let rotation = quaternion::from_xyzw(xyzw).map_err(|error| error.to_string())?;
+    Ok(Pose::from_parts(Translation3::from(translation), rotation))
 }
 
 /// Poses read so far that were no rigid motions.
@@ -84,15 +75,10 @@ impl Invalid {
     }
 }
 
-/// U V^T of the singular value decomposition U S V^T.
-fn nearest_rotation(matrix: Matrix3<f64>) -> Option<Rotation3<f64>> {
-    let svd = matrix.svd(true, true);
-    Some(Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
     use proptest::prelude::*;
 
     fn rows(pose: &Pose) -> [f64; 12] {
@@ -125,7 +111,7 @@ mod tests {
             numbers[5] += noise;
             let from_matrix = from_rows(&numbers).unwrap();
             let q = pose.rotation.coords;
-            let from_quaternion = from_quaternion(pose.translation.vector.into(), [q.x, q.y, q.z, q.w]).unwrap();
+            let from_quaternion = from_quaternion([t[0], t[1], t[2]].map(f64::from), [q.x, q.y, q.z, q.w]).unwrap();
             prop_assert!(from_matrix.rotation.angle_to(&from_quaternion.rotation) < 2e-4);
             prop_assert!((from_matrix.translation.vector - from_quaternion.translation.vector).norm() < 1e-9);
         }

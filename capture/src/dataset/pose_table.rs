@@ -1,10 +1,11 @@
 //! Ground truth that lies in one file: by time, by frame number, or by image name.
 
+use grnet_geometry::{Pose, se3::interpolate};
 use std::collections::HashMap;
 use std::path::Path;
 use std::time::Duration;
 
-use super::pose::{Invalid, Pose, from_quaternion, from_rows};
+use super::pose::{Invalid, from_quaternion, from_rows};
 use super::text::{Line, TextFile, parse_number, quoted};
 use super::{Association, DatasetError};
 
@@ -172,8 +173,7 @@ pub(crate) fn pose_at(rows: &[(u64, Pose)], time_ns: u64, association: Associati
             }
             let (last_ns, last) = within(gap, before)?;
             let t = (time_ns - last_ns) as f64 / (next_ns - last_ns) as f64;
-            // Fails only for half a turn between neighbours, where the way is not defined.
-            last.try_lerp_slerp(&next, t, 1e-9)
+            Some(interpolate(&last, &next, t))
         }
     }
 }

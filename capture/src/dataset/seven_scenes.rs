@@ -6,6 +6,7 @@
 //! time stamps; the Kinect ran at 30 Hz. The official files give no intrinsics of the colour camera: 525 px at
 //! 640x480 is what the literature uses, and a `camera-intrinsics.txt` with 585 px is the depth camera's.
 
+use grnet_geometry::Pose;
 use std::path::{Path, PathBuf};
 
 use grnet_frame::Distortion;
@@ -14,7 +15,7 @@ use super::intrinsics::{Intrinsics, read_matrix};
 use super::listing::{
     Listed, Listing, PoseOrigin, Set, entries, folder_name, frame_number, names, numbered_images,
 };
-use super::pose::{Invalid, Pose, from_rows};
+use super::pose::{Invalid, from_rows};
 use super::text::{TextFile, quoted};
 use super::{DatasetError, Layout};
 
