@@ -17,7 +17,10 @@ pub const CREATION_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// How a root of one's own is chosen, for error messages.
 pub(crate) const OWN_ROOT_REMEDY: &str =
-    "grnetd.toml: transport.root and transport.prefix; clients: --root and --prefix";
+    "grnetd.toml: publish.root and publish.prefix; clients: --root and --prefix";
+
+/// Where POSIX shared memory lives on Linux.
+const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Unix socket names hold 107 bytes, of which iceoryx2 takes up to 46 for port id and suffix.
 const MAX_ROOT_AND_PREFIX_BYTES: usize = 60;
@@ -141,6 +144,14 @@ impl Root {
         Ok(Self::with_config(config, true))
     }
 
+    /// The same root with another limit, instead of [`CREATION_TIMEOUT`], to what a client that is half
+    /// attached or may not attach costs a publication.
+    #[must_use]
+    pub fn with_creation_timeout(mut self, timeout: Duration) -> Self {
+        self.config.global.creation_timeout = timeout;
+        self
+    }
+
     /// The folder.
     pub fn path(&self) -> PathBuf {
         PathBuf::from(self.config.global.root_path().to_string())
@@ -198,14 +209,21 @@ impl fmt::Display for Root {
 /// [`TransportError::NoSpace`] with the numbers; [`TransportError::Internal`] when the file system
 /// cannot be asked.
 pub fn require_shared_memory(needed_bytes: u64) -> Result<(), TransportError> {
-    let path = Path::new("/dev/shm");
-    let space = rustix::fs::statvfs(path)
-        .map_err(|error| TransportError::internal("ask for the free space of", "/dev/shm", error))?;
-    let free_bytes = space.f_bavail.saturating_mul(space.f_frsize);
+    let free_bytes = free_shared_memory()?;
     if free_bytes < needed_bytes {
-        return Err(TransportError::NoSpace { path: path.to_owned(), free_bytes, needed_bytes });
+        return Err(TransportError::NoSpace { path: SHARED_MEMORY.into(), free_bytes, needed_bytes });
     }
     Ok(())
+}
+
+/// Bytes that are free in the file system of shared memory.
+///
+/// # Errors
+/// [`TransportError::Internal`] when the file system cannot be asked.
+pub fn free_shared_memory() -> Result<u64, TransportError> {
+    let space = rustix::fs::statvfs(SHARED_MEMORY)
+        .map_err(|error| TransportError::internal("ask for the free space of", SHARED_MEMORY, error))?;
+    Ok(space.f_bavail.saturating_mul(space.f_frsize))
 }
 
 #[cfg(test)]
@@ -219,6 +237,8 @@ mod tests {
         assert_eq!(root.config().global.prefix, stock.global.prefix);
         assert_eq!(root.config().global.creation_timeout, CREATION_TIMEOUT);
         assert!(!root.is_own());
+        let patient = root.with_creation_timeout(Duration::from_millis(50));
+        assert_eq!(patient.config().global.creation_timeout, Duration::from_millis(50));
     }
 
     #[test]
