@@ -102,7 +102,7 @@ fn given_poses(file: &Path, set: &Set, options: &OpenOptions) -> Result<(PoseTab
     let file = split::locate(file, &set.root);
     let mut invalid = Invalid::new(options.invalid_poses);
     let table = PoseTable::read_any(&file, &mut invalid)?;
-    if set.listings.len() > 1 && !matches!(table, PoseTable::ByName(_)) {
+    if set.listings.len() > 1 && !matches!(table, PoseTable::Named(_)) {
         return Err(DatasetError::Option {
             option: "poses",
             problem: format!(
@@ -156,19 +156,19 @@ fn from_table(
 ) -> Result<(), DatasetError> {
     let timed = posed.iter().all(|frame| frame.time_ns.is_some());
     match table {
-        PoseTable::ByTime(rows) if timed => {
+        PoseTable::Timed(rows) if timed => {
             let rows = known(rows);
             for frame in &mut *posed {
                 let time_ns = frame.time_ns.unwrap_or_default();
                 frame.world_from_camera = pose_at(&rows, time_ns, options.association);
             }
         }
-        PoseTable::ByTime(rows) if rows.len() == posed.len() => {
+        PoseTable::Timed(rows) if rows.len() == posed.len() => {
             for (frame, (time_ns, pose)) in posed.iter_mut().zip(rows) {
                 (frame.time_ns, frame.world_from_camera) = (Some(*time_ns), *pose);
             }
         }
-        PoseTable::ByTime(rows) => {
+        PoseTable::Timed(rows) => {
             return Err(DatasetError::Option {
                 option: "poses",
                 problem: format!(
@@ -179,12 +179,12 @@ fn from_table(
                 ),
             });
         }
-        PoseTable::ByNumber(by_number) => {
+        PoseTable::Numbered(by_number) => {
             for frame in &mut *posed {
                 frame.world_from_camera = by_number.get(&frame.number).copied();
             }
         }
-        PoseTable::ByName(by_name) => {
+        PoseTable::Named(by_name) => {
             for (frame, listed) in posed.iter_mut().zip(frames) {
                 if let Some((pose, focal_px)) = by_name.get(&listed.key) {
                     (frame.world_from_camera, frame.focal_px) = (Some(*pose), *focal_px);

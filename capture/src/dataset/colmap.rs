@@ -127,7 +127,7 @@ fn listing(
         id: String::new(),
         name: String::new(),
         frames,
-        poses: PoseOrigin::Table { table: PoseTable::ByName(by_name), sensor_from_camera: Pose::identity() },
+        poses: PoseOrigin::Table { table: PoseTable::Named(by_name), sensor_from_camera: Pose::identity() },
         invalid_poses: invalid.count,
         intrinsics: None,
         default_rate_hz: RATE_HZ,

@@ -20,8 +20,8 @@ pub(crate) fn from_rows(rows: &[f64; 12]) -> Result<Pose, String> {
     let matrix =
         Matrix3::new(rows[0], rows[1], rows[2], rows[4], rows[5], rows[6], rows[8], rows[9], rows[10]);
     let error = (matrix.transpose() * matrix - Matrix3::identity()).amax();
-    // Not `error > ...`: the product of huge finite numbers overflows to NaN.
-    if !(error <= MAX_ROTATION_ERROR) {
+    // The product of huge finite numbers overflows to NaN, which is no rotation either.
+    if error.is_nan() || error > MAX_ROTATION_ERROR {
         return Err(format!("R^T R differs from the identity by {error:.3}: R is no rotation"));
     }
     if matrix.determinant() < 0.0 {
@@ -37,7 +37,7 @@ pub(crate) fn from_quaternion(translation: [f64; 3], xyzw: [f64; 4]) -> Result<P
         return Err(format!("the pose holds {bad}, which is no finite number"));
     }
     let norm = xyzw.iter().map(|c| c * c).sum::<f64>().sqrt();
-    if !((norm - 1.0).abs() <= MAX_NORM_ERROR) {
+    if norm.is_nan() || (norm - 1.0).abs() > MAX_NORM_ERROR {
         return Err(format!("the quaternion has norm {norm:.4}, not 1"));
     }
     let rotation = quaternion::from_xyzw(xyzw).map_err(|error| error.to_string())?;

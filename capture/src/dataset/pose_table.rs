@@ -13,12 +13,12 @@ use super::{Association, DatasetError};
 #[derive(Debug)]
 pub(crate) enum PoseTable {
     /// In order of time; `None` for an impossible pose. `world_from_sensor`.
-    ByTime(Vec<(u64, Option<Pose>)>),
+    Timed(Vec<(u64, Option<Pose>)>),
     /// Of KITTI: by frame number. `world_from_sensor`.
-    ByNumber(HashMap<u64, Pose>),
+    Numbered(HashMap<u64, Pose>),
     /// Of pseudo ground truth and COLMAP: by image name without extension; maybe with a focal length in pixels.
     /// `world_from_camera` (the files hold the inverse).
-    ByName(HashMap<String, (Pose, Option<f64>)>),
+    Named(HashMap<String, (Pose, Option<f64>)>),
 }
 
 impl PoseTable {
@@ -58,7 +58,7 @@ impl PoseTable {
             let pose = invalid.judge(&line, from_quaternion([tx, ty, tz], [qx, qy, qz, qw]))?;
             push_in_order(&mut rows, &line, time_ns, pose)?;
         }
-        Ok(Self::ByTime(rows))
+        Ok(Self::Timed(rows))
     }
 
     /// EuRoC/ASL state: `time_ns, px, py, pz, qw, qx, qy, qz` and more.
@@ -75,7 +75,7 @@ impl PoseTable {
             let pose = invalid.judge(&line, from_quaternion([px, py, pz], [qx, qy, qz, qw]))?;
             push_in_order(&mut rows, &line, time_ns, pose)?;
         }
-        Ok(Self::ByTime(rows))
+        Ok(Self::Timed(rows))
     }
 
     /// KITTI odometry: the twelve numbers of [R | t] row by row; thirteen when the frame number comes first.
@@ -106,7 +106,7 @@ impl PoseTable {
                 return Err(line.error(format!("frame {number} again"), "each frame once"));
             }
         }
-        Ok(Self::ByNumber(by_number))
+        Ok(Self::Numbered(by_number))
     }
 
     /// `image qw qx qy qz tx ty tz [focal_px]`, `camera_from_world`: the pseudo ground truth of 7-Scenes and
@@ -134,7 +134,7 @@ impl PoseTable {
                 return Err(line.error(format!("{} again", quoted(fields[0])), "each image once"));
             }
         }
-        Ok(Self::ByName(by_name))
+        Ok(Self::Named(by_name))
     }
 }
 
@@ -210,15 +210,15 @@ mod tests {
 
     #[test]
     fn each_format_is_known_by_its_first_line() {
-        let PoseTable::ByTime(tum) = forgiving("# t\n1.5 1 2 3 0 0 0 1\n") else { panic!() };
+        let PoseTable::Timed(tum) = forgiving("# t\n1.5 1 2 3 0 0 0 1\n") else { panic!() };
         let tum = known(&tum);
         assert_eq!((tum[0].0, tum[0].1.translation.vector.as_slice()), (1_500_000_000, &[1.0, 2.0, 3.0][..]));
-        let PoseTable::ByTime(asl) = forgiving("#t\n7,1,2,3,0,1,0,0,9,9\n") else { panic!() };
+        let PoseTable::Timed(asl) = forgiving("#t\n7,1,2,3,0,1,0,0,9,9\n") else { panic!() };
         let asl = known(&asl);
         assert_eq!((asl[0].0, asl[0].1.rotation.coords.x), (7, 1.0));
-        let PoseTable::ByNumber(kitti) = forgiving("1 0 0 5 0 1 0 0 0 0 1 0\n") else { panic!() };
+        let PoseTable::Numbered(kitti) = forgiving("1 0 0 5 0 1 0 0 0 0 1 0\n") else { panic!() };
         assert_eq!(kitti[&0].translation.x, 5.0);
-        let PoseTable::ByNumber(kitti) = forgiving("4 1 0 0 5 0 1 0 0 0 0 1 0\n") else { panic!() };
+        let PoseTable::Numbered(kitti) = forgiving("4 1 0 0 5 0 1 0 0 0 0 1 0\n") else { panic!() };
         assert_eq!(kitti[&4].translation.x, 5.0);
     }
 
@@ -227,7 +227,7 @@ mod tests {
         // A quarter turn about z, then a shift: camera_from_world.
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let text = format!("seq-03/frame-000002.color.png {h} 0 0 {h} 1 0 0 525.5\n");
-        let PoseTable::ByName(table) = forgiving(&text) else { panic!() };
+        let PoseTable::Named(table) = forgiving(&text) else { panic!() };
         let (pose, focal_px) = table["seq-03/frame-000002"];
         // -R^T t with R^T mapping x to -y.
         assert!((pose.translation.vector - nalgebra::Vector3::new(0.0, 1.0, 0.0)).norm() < 1e-12);
@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn impossible_poses_are_counted_or_refused() {
         let text = "1 0 0 0 0 0 0 1\n2 nan 0 0 0 0 0 1\n3 0 0 0 0 0 0 0\n";
-        let (PoseTable::ByTime(rows), 2) = parse(text, InvalidPoses::Forget).unwrap() else { panic!() };
+        let (PoseTable::Timed(rows), 2) = parse(text, InvalidPoses::Forget).unwrap() else { panic!() };
         assert_eq!((rows.len(), known(&rows).len()), (3, 1));
         let error = parse(text, InvalidPoses::Refuse).unwrap_err().to_string();
         assert_eq!(error, "gt.txt, line 2: the pose holds NaN, which is no finite number");

@@ -132,7 +132,7 @@ impl FolderSource {
         let interval_ns = (1e9 / recording.nominal_rate_hz.unwrap_or(1.0)).round().max(1.0) as u64;
         let schedule = Schedule {
             name: recording.name.clone(),
-            period_ns: frames[length - 1].time_ns - frames[0].time_ns + interval_ns,
+            period_ns: (frames[length - 1].time_ns - frames[0].time_ns).saturating_add(interval_ns),
             frames,
             camera: recording.camera,
             start_at: options.start_at as u64,

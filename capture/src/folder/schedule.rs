@@ -42,13 +42,15 @@ impl Schedule {
             return None;
         }
         let frame = &self.frames[(step % length) as usize];
-        let offset_ns = (step / length) * self.period_ns + (frame.time_ns - self.frames[0].time_ns);
+        // Names can claim times near the end of the range; they stay there rather than wrap.
+        let within_ns = frame.time_ns - self.frames[0].time_ns;
+        let offset_ns = (step / length).saturating_mul(self.period_ns).saturating_add(within_ns);
         Some(Step { frame, sequence: self.start_at + step, offset_ns })
     }
 
     /// Time of capture on the recording's clock, which runs on from round to round.
     pub fn recorded_ns(&self, step: &Step<'_>) -> u64 {
-        self.frames[0].time_ns + step.offset_ns
+        self.frames[0].time_ns.saturating_add(step.offset_ns)
     }
 
     /// The last step that is due `elapsed_ns` (on the recording's clock) after the start, at least `from`.
