@@ -11,7 +11,8 @@ fn step(criterion: &mut Criterion) {
         let config = NetworkConfig::preset(preset).expect("a preset");
         let model = LoadedModel::untrained(&config, 1).expect("untrained weights");
         let (height, width) = (config.input_height_px, config.input_width_px);
-        let values = (0..3 * height * width).map(|i| (i * 7919 % 2003) as f32 / 1001.0 - 1.0).collect::<Vec<_>>();
+        let values =
+            (0..3 * height * width).map(|i| (i * 7919 % 2003) as f32 / 1001.0 - 1.0).collect::<Vec<_>>();
         let image = Tensor::from_vec(values, (1, 3, height, width), &Device::Cpu).expect("an image");
         let mut state = model.network.initial_state();
         group.bench_function(preset, |bencher| {

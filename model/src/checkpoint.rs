@@ -4,6 +4,7 @@
 //! the network in the metadata, every weight finite, and the content hash right.
 
 use std::collections::{BTreeSet, HashMap};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor};
@@ -123,15 +124,17 @@ impl Checkpoint {
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        let file = builder
+        let mut file = builder
             .prefix(".checkpoint-")
             .tempfile_in(folder)
             .map_err(io("create a temporary file beside"))?;
         let json = serde_json::to_string(&self.metadata)
             .map_err(|source| CheckpointError::Metadata { path: path.into(), source })?;
         let header = HashMap::from([(METADATA_KEY.to_owned(), json)]);
-        safetensors::serialize_to_file(self.tensors.iter(), Some(header), file.path())
+        // In memory first: the library's own way to a file neither flushes to the disk nor respects the umask.
+        let bytes = safetensors::serialize(self.tensors.iter(), Some(header))
             .map_err(|source| CheckpointError::Write { path: path.into(), source })?;
+        file.write_all(&bytes).map_err(io("write"))?;
         file.as_file().sync_all().map_err(io("flush"))?;
         file.persist(path).map_err(|error| io("replace")(error.error))?;
         std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("flush the folder of"))

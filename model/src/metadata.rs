@@ -267,8 +267,8 @@ impl CheckpointMetadata {
         if let Some(transform) = &self.map_from_world {
             let norm = transform.rotation_xyzw.iter().map(|v| v * v).sum::<f64>().sqrt();
             let translation_is_finite = transform.translation_m.iter().all(|v| v.is_finite());
-            // Not `> 1e-6`, so that NaN is refused as well.
-            if !translation_is_finite || !((norm - 1.0).abs() <= 1e-6) {
+            let rotation_is_unit = (norm - 1.0).abs() <= 1e-6;
+            if !translation_is_finite || !rotation_is_unit {
                 return Some(format!(
                     "map_from_world {transform:?}; a finite translation and a unit quaternion expected"
                 ));

@@ -229,19 +229,15 @@ fn an_untrained_part_makes_the_whole_untrained() {
 
 #[test]
 fn a_trunk_without_rcnn1_needs_a_scene() {
-    let config = NetworkConfig {
-        branches: Branches { relative: false, global: true, fusion: false },
-        ..tiny()
-    };
+    let config =
+        NetworkConfig { branches: Branches { relative: false, global: true, fusion: false }, ..tiny() };
     let (trunk, scene) = trained(&config).split().unwrap();
     let error = LoadedModel::from_checkpoint(trunk.clone(), &Device::Cpu).unwrap_err();
     assert!(error.to_string().contains("without RCNN1"), "{error}");
     let merged = Checkpoint::merge(trunk, scene).unwrap();
     assert_eq!(merged, trained(&config));
-    let relative_only = NetworkConfig {
-        branches: Branches { relative: true, global: false, fusion: false },
-        ..tiny()
-    };
+    let relative_only =
+        NetworkConfig { branches: Branches { relative: true, global: false, fusion: false }, ..tiny() };
     let error = trained(&relative_only).split().unwrap_err();
     assert!(error.to_string().contains("no global branch"), "{error}");
 }

@@ -146,7 +146,11 @@ fn batch_norm(name: &str, channels: &'static [usize]) -> Vec<(String, &'static [
     ["weight", "bias", "running_mean", "running_var"].map(|t| (format!("{name}.{t}"), channels)).to_vec()
 }
 
-fn block(prefix: &str, convolutions: &[(&str, &'static [usize])], norms: &[(&str, &'static [usize])]) -> VarBuilder<'static> {
+fn block(
+    prefix: &str,
+    convolutions: &[(&str, &'static [usize])],
+    norms: &[(&str, &'static [usize])],
+) -> VarBuilder<'static> {
     let mut tensors: Vec<(String, &[usize])> =
         convolutions.iter().map(|(name, shape)| (format!("{name}.weight"), *shape)).collect();
     for (name, channels) in norms {
@@ -177,7 +181,8 @@ fn bottleneck_with_stride_and_projection() {
         ("conv3", &[32, 8, 1, 1]),
         ("downsample.0", &[32, 8, 1, 1]),
     ];
-    let norms: [(&str, &[usize]); 4] = [("bn1", &[8]), ("bn2", &[8]), ("bn3", &[32]), ("downsample.1", &[32])];
+    let norms: [(&str, &[usize]); 4] =
+        [("bn1", &[8]), ("bn2", &[8]), ("bn3", &[32]), ("downsample.1", &[32])];
     let block = Bottleneck::new(8, 8, 2, block("stride2", &convolutions, &norms)).unwrap();
     let y = block.forward(&input("block.input", &[2, 8, 9, 6], -1.0, 1.0)).unwrap();
     assert_eq!(y.dims(), [2, 32, 5, 3]);

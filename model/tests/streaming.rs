@@ -84,9 +84,7 @@ fn carry_and_rerun_part_after_k_frames_and_not_before() {
         run(&network, &mut network.initial_state(), &frames(config, &[0, 1, 2, 3]))
     };
     let (carried, rerun) = (stream(&carry), stream(&rerun));
-    let global = |output: &StepOutput| {
-        output.global.as_ref().unwrap().translation_m.map(|v| v as f32)
-    };
+    let global = |output: &StepOutput| output.global.as_ref().unwrap().translation_m.map(|v| v as f32);
     assert_eq!(carry.k, 3);
     for t in 0..3 {
         assert!(difference(&global(&carried[t]), &global(&rerun[t])) < SAME, "frame {t}");
