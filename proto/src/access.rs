@@ -4,10 +4,11 @@ use core::{fmt, str::FromStr};
 use std::{
     os::unix::{ffi::OsStrExt, fs::MetadataExt},
     path::{Path, PathBuf},
+    sync::Once,
     time::Duration,
 };
 
-use iceoryx2::prelude::{Config, FileName, SemanticString};
+use iceoryx2::prelude::{Config, FileName, LogLevel, SemanticString, set_log_level_from_env_or};
 
 use crate::{Access, TransportError};
 
@@ -110,7 +111,7 @@ impl Default for Root {
 impl Root {
     /// iceoryx2's own root: `/tmp/iceoryx2` unless its configuration file says otherwise.
     pub fn shared() -> Self {
-        Self::with_config(Config::global_config().clone(), false)
+        Self::with_config(stock_config(), false)
     }
 
     /// A root of one's own: an absolute folder, and the prefix of the names in shared memory
@@ -120,7 +121,7 @@ impl Root {
     /// [`TransportError::UnusableRoot`] when the path is not absolute, path and prefix are longer than
     /// 60 bytes together, or the prefix is no file name.
     pub fn own(path: &Path, prefix: Option<&str>) -> Result<Self, TransportError> {
-        let mut config = Config::global_config().clone();
+        let mut config = stock_config();
         let unusable = |problem: String| TransportError::UnusableRoot { path: path.to_owned(), problem };
         if !path.is_absolute() {
             return Err(unusable("it is not absolute; give the path from /".to_owned()));
@@ -200,6 +201,14 @@ impl fmt::Display for Root {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} (prefix {})", self.path().display(), self.prefix())
     }
+}
+
+/// The configuration of stock clients. Every way into iceoryx2 leads through here, so that it is told
+/// to keep quiet before it says its first word: its failures come back as errors.
+fn stock_config() -> Config {
+    static LOG_LEVEL: Once = Once::new();
+    LOG_LEVEL.call_once(|| set_log_level_from_env_or(LogLevel::Fatal));
+    Config::global_config().clone()
 }
 
 /// Refuses when the file system of shared memory has less than `needed_bytes` free: shared memory is

@@ -1,13 +1,10 @@
 //! A process's place in iceoryx2: everything else is opened on a node.
 
-use std::{
-    sync::Once,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use iceoryx2::{
     node::Node as IoxNode,
-    prelude::{LogLevel, NodeBuilder, NodeName, SignalHandlingMode, ipc, set_log_level_from_env_or},
+    prelude::{NodeBuilder, NodeName, SignalHandlingMode, ipc},
 };
 
 use crate::{AccessMode, Root, TransportError};
@@ -53,9 +50,6 @@ impl Node {
     /// another user, [`TransportError::NoDaemon`] for a client whose root does not exist,
     /// [`TransportError::UnusableRoot`].
     pub fn open(access: AccessMode, root: &Root, role: Role) -> Result<Self, TransportError> {
-        static LOG_LEVEL: Once = Once::new();
-        LOG_LEVEL.call_once(|| set_log_level_from_env_or(LogLevel::Fatal));
-
         access.check_built()?;
         prepare_root(root, role)?;
         let name = match role {
