@@ -100,9 +100,11 @@ impl Slot {
         self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// Puts a frame where the consumer finds it; one that it has not taken is lost.
-    fn put(&self, item: Item) {
+    /// Puts a frame where the consumer finds it; one that it has not taken is lost, as are the `skipped` ones
+    /// before it, which are counted only now, so that the count never runs ahead of the frames.
+    fn put(&self, item: Item, skipped: u64) {
         let mut state = self.lock();
+        state.dropped += skipped;
         if state.newest.replace(item).is_some() {
             state.dropped += 1;
         }
@@ -143,11 +145,12 @@ fn play(mut reader: Reader, factor: f64, slot: &Slot) {
     let mut step = 0;
     let mut start_ns = None;
     loop {
+        let mut skipped = 0;
         if let Some(start_ns) = start_ns {
             let elapsed_ns = (monotonic_ns().saturating_sub(start_ns) as f64 * factor) as u64;
             let newest = reader.schedule.newest_due(step, elapsed_ns);
             if newest > step && reader.schedule.step(step).is_some() {
-                slot.lock().dropped += newest - step;
+                skipped = newest - step;
                 step = newest;
             }
         }
@@ -159,7 +162,49 @@ fn play(mut reader: Reader, factor: f64, slot: &Slot) {
         if !slot.wait_until(due_ns) {
             return;
         }
-        slot.put(read.map(|frame| frame.at(CaptureTime::monotonic(due_ns))));
+        slot.put(read.map(|frame| frame.at(CaptureTime::monotonic(due_ns))), skipped);
         step += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use grnet_frame::{Frame, PixelFormat, Pixels};
+
+    fn frame(sequence: u64) -> Item {
+        let pixels = Arc::new(Pixels::packed(PixelFormat::Gray8, 1, 1, vec![0]).unwrap());
+        Ok(Frame { pixels, capture_time: CaptureTime::monotonic(sequence), sequence, camera: None })
+    }
+
+    #[test]
+    fn replaced_and_skipped_frames_are_counted_with_the_frame_that_follows_them() {
+        let slot = Arc::new(Slot::default());
+        let mut live = Live { slot: Arc::clone(&slot), thread: None };
+        let mut next = || match live.next(Duration::ZERO).unwrap() {
+            Received::Frame(frame) => Some((frame.sequence, live.dropped())),
+            _ => None,
+        };
+        slot.put(frame(0), 0);
+        assert_eq!(next(), Some((0, 0)));
+        slot.put(frame(1), 0);
+        slot.put(frame(5), 3);
+        assert_eq!(next(), Some((5, 4)));
+        assert_eq!(next(), None);
+    }
+
+    #[test]
+    fn a_thread_that_failed_is_told_after_its_last_frame() {
+        let slot = Arc::new(Slot::default());
+        let theirs = Arc::clone(&slot);
+        let thread = std::thread::spawn(move || {
+            let _guard = OverGuard(&theirs);
+            theirs.put(frame(0), 0);
+            panic!("as intended by the test");
+        });
+        let mut live = Live { slot, thread: Some(thread) };
+        let patience = Duration::from_secs(20);
+        assert!(matches!(live.next(patience), Ok(Received::Frame(_))));
+        assert!(matches!(live.next(patience), Err(Failed::Thread)));
     }
 }

@@ -150,17 +150,18 @@ fn a_late_consumer_gets_the_newest_frame_and_the_count() {
     let folder = made::images();
     let options = FolderOptions { pace: FAST, looped: true, ..Default::default() };
     let mut source = played(&folder, options);
-    assert_eq!(frame(&mut source).sequence, 0);
+    // On a busy machine the very first frames may be lost already: all those before this one.
+    let first = frame(&mut source).sequence;
     // The consumer is busy until three more frames were lost.
     let begin = Instant::now();
-    while source.dropped_frames() < 3 {
+    while source.dropped_frames() < first + 3 {
         assert!(begin.elapsed() < LONG, "nothing was dropped");
         std::thread::yield_now();
     }
     let late = frame(&mut source);
     let dropped = source.dropped_frames();
-    assert!(late.sequence >= 4, "an old frame, number {}", late.sequence);
-    // A newer frame may have been dropped or put into the slot since.
+    assert!(late.sequence >= first + 4, "an old frame, number {}", late.sequence);
+    // All but the two delivered ones were dropped; more may have been since.
     assert!(late.sequence <= dropped + 1, "number {} after {dropped} dropped", late.sequence);
     assert_eq!(late.pixels.data()[0], (late.sequence % 12) as u8);
 }
