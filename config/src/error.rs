@@ -60,7 +60,7 @@ pub enum ConfigError {
     #[error("{origin}: not TOML: {problem}")]
     Syntax {
         /// Where.
-        origin: Origin,
+        origin: Box<Origin>,
         /// What the parser said.
         problem: String,
     },
@@ -68,7 +68,7 @@ pub enum ConfigError {
     #[error("{origin}: unknown key `{key}`; {hint}")]
     UnknownKey {
         /// Where.
-        origin: Origin,
+        origin: Box<Origin>,
         /// The key with its section.
         key: String,
         /// The nearest known keys.
@@ -78,7 +78,7 @@ pub enum ConfigError {
     #[error("{origin}: {key} = {found}: {problem}; allowed: {allowed}")]
     Value {
         /// Where.
-        origin: Origin,
+        origin: Box<Origin>,
         /// The key with its section.
         key: String,
         /// The value as written.

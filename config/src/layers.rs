@@ -89,7 +89,7 @@ impl Layers {
         }
         let raw: Raw =
             toml_edit::de::from_document(DocumentMut::from(merged)).map_err(|error| ConfigError::Syntax {
-                origin: Origin::Missing { path: self.path.clone() },
+                origin: Box::new(Origin::Missing { path: self.path.clone() }),
                 problem: format!("the file and the overrides do not fit together: {}", error.message()),
             })?;
         let mut config = convert::config(raw).map_err(|invalid| self.locate(invalid))?;
@@ -126,7 +126,7 @@ impl Layers {
             Some((layer, leaf)) => (layer.origin(leaf.key_span.start), "(missing)".to_owned()),
             None => match self.find(key.rsplit_once('.').map_or(key, |(section, _)| section)) {
                 Some((layer, leaf)) => (layer.origin(leaf.key_span.start), "(missing)".to_owned()),
-                None => (Origin::Missing { path: self.path.clone() }, "(missing)".to_owned()),
+                None => (Box::new(Origin::Missing { path: self.path.clone() }), "(missing)".to_owned()),
             },
         };
         ConfigError::Value { origin, key: key.into(), found, problem, allowed }
@@ -199,7 +199,7 @@ impl Layer {
         })
     }
 
-    fn origin(&self, offset: usize) -> Origin {
+    fn origin(&self, offset: usize) -> Box<Origin> {
         self.origin.at(self.document.raw(), offset)
     }
 
@@ -209,11 +209,11 @@ impl Layer {
 }
 
 impl LayerOrigin {
-    fn at(&self, text: &str, offset: usize) -> Origin {
-        match self {
+    fn at(&self, text: &str, offset: usize) -> Box<Origin> {
+        Box::new(match self {
             Self::Override(text) => Origin::Override { text: text.clone() },
             Self::File(path) => {
-                let before = &text[..text.floor_char_boundary(offset)];
+                let before = text.get(..offset).unwrap_or(text);
                 let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
                 Origin::File {
                     path: path.clone(),
@@ -221,7 +221,7 @@ impl LayerOrigin {
                     column: before[line_start..].chars().count() + 1,
                 }
             }
-        }
+        })
     }
 }
 

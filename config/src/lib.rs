@@ -97,12 +97,6 @@ pub enum Layout {
     SevenScenes,
     /// KITTI odometry.
     Kitti,
-    /// TUM RGB-D.
-    Tum,
-    /// EuRoC MAV.
-    Euroc,
-    /// COLMAP text model with images.
-    Colmap,
     /// A plain folder of images.
     Images,
 }

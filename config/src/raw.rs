@@ -83,9 +83,6 @@ pub(crate) enum RawLayout {
     #[serde(rename = "7scenes")]
     SevenScenes,
     Kitti,
-    Tum,
-    Euroc,
-    Colmap,
     Images,
 }
 

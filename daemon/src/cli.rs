@@ -1,0 +1,106 @@
+//! The command line.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use grnet_config::{GrnetdConfig, Override};
+
+use crate::failure::Failure;
+use crate::run::Loaded;
+use crate::{check, logging, run, supervisor};
+
+/// Camera frames in, poses in shared memory out.
+#[derive(Debug, Parser)]
+#[command(name = "grnetd", version, arg_required_else_help = true, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 2 usage, 69 something else is in the way (camera name in use, \
+shared memory full), 70 internal error, 77 no permission, 78 configuration, checkpoint or recording cannot be used.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run until the recording ends or a signal comes.
+    Run(Configuration),
+    /// Check the configuration to the end (weights, source, shared memory) and say what would run.
+    Check(Configuration),
+}
+
+#[derive(Debug, Args)]
+struct Configuration {
+    /// The configuration; the packaged grnetd.toml explains every key.
+    #[arg(long, value_name = "FILE", default_value = "/etc/grnet/grnetd.toml")]
+    config: PathBuf,
+    /// Set a key for this run, before what the file says; may be given several times.
+    #[arg(long = "set", value_name = "SECTION.KEY=VALUE")]
+    set: Vec<String>,
+}
+
+/// Does what the arguments say; the result is the process's exit code.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Nothing can be said to a closed stderr.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    let result = match cli.command {
+        Command::Run(configuration) => return run_daemon(&configuration),
+        Command::Check(configuration) => {
+            configuration.load().and_then(|loaded| check::check(&loaded, &mut std::io::stdout().lock()))
+        }
+    };
+    end(result, |failure| eprintln!("grnetd: error: {}", failure.chain()))
+}
+
+fn run_daemon(configuration: &Configuration) -> ExitCode {
+    let started = configuration.load().and_then(|loaded| Ok((logging::start(&loaded.config.log)?, loaded)));
+    let (log, loaded) = match started {
+        Ok(started) => started,
+        Err(failure) => return end(Err(failure), |failure| eprintln!("grnetd: error: {}", failure.chain())),
+    };
+    supervisor::install_panic_hook();
+    end(run::run(loaded, &log), |failure| tracing::error!("{}", failure.chain()))
+}
+
+/// The one place where an error that ends the program is printed.
+fn end(result: Result<(), Failure>, print: impl Fn(&Failure)) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            print(&failure);
+            failure.exit_code()
+        }
+    }
+}
+
+impl Configuration {
+    fn load(&self) -> Result<Loaded, Failure> {
+        let overrides: Vec<Override> = self
+            .set
+            .iter()
+            .map(|text| Override::parse(text))
+            .collect::<Result<_, _>>()
+            .map_err(Failure::config)?;
+        let config = GrnetdConfig::load(&self.config, &overrides).map_err(Failure::config)?;
+        Ok(Loaded { config, path: self.config.clone(), overrides })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,170 @@
+//! The control thread: answers requests, loads scenes, and clears away what killed clients left behind, all of
+//! it off the path of the poses.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Sender, bounded, select};
+use grnet_proto::clock::Now;
+use grnet_proto::{
+    Command, ControlReply, ControlRequest, ControlServer, Node, Outcome, Role, SCHEMA_VERSION,
+};
+
+use crate::activity::Activity;
+use crate::convert;
+use crate::failure::Failure;
+use crate::scenes::{SceneError, SceneLibrary};
+use crate::setup::Transport;
+use crate::state::State;
+use crate::stop::Stop;
+use crate::worker::{Change, Order};
+
+/// Longest wait for a request before the stop is looked at.
+const WAIT: Duration = Duration::from_millis(100);
+
+/// How often the leftovers of killed clients are looked for.
+const CLEAN_UP: Duration = Duration::from_secs(2);
+
+/// What the control thread works with.
+#[derive(Debug)]
+pub struct Control {
+    /// Who may subscribe, and where.
+    pub transport: Transport,
+    /// Which scenes there are.
+    pub scenes: SceneLibrary,
+    /// Orders to the worker.
+    pub orders: Sender<Order>,
+    /// What is told.
+    pub state: Arc<State>,
+    /// Ends the thread.
+    pub stop: Stop,
+    /// Shows progress.
+    pub activity: Activity,
+}
+
+type Answer = (Outcome, String);
+
+/// Answers requests until the stop comes.
+///
+/// # Errors
+/// When the port cannot be opened, or shared memory is corrupt.
+pub fn run(mut control: Control) -> Result<(), Failure> {
+    let node = Node::open(control.transport.access, &control.transport.root, Role::Daemon)?;
+    let server = ControlServer::open(&node, &control.state.identity.camera)?;
+    control.state.set_scenes(control.scenes.list());
+
+    let mut cleaned = Instant::now();
+    while !control.stop.is_stopped() {
+        control.activity.work();
+        while let Some(pending) = server.receive()? {
+            let request = pending.request();
+            let (outcome, message) = control.answer(&request);
+            tracing::info!(command = %request.command, %outcome, message, "request");
+            let status = control.state.status(Now::read());
+            pending.reply(&ControlReply::new(&request, outcome, &message, status))?;
+        }
+        if cleaned.elapsed() >= CLEAN_UP {
+            cleaned = Instant::now();
+            let done = node.cleanup_dead_nodes();
+            if done.removed > 0 {
+                tracing::info!(removed = done.removed, "cleared away what killed processes left behind");
+            }
+        }
+        control.activity.work();
+        server.wait(WAIT)?;
+    }
+    control.activity.wait();
+    Ok(())
+}
+
+impl Control {
+    fn answer(&mut self, request: &ControlRequest) -> Answer {
+        if request.schema_version != SCHEMA_VERSION {
+            let found = request.schema_version;
+            let text = format!("the request is of schema {found}, this daemon speaks {SCHEMA_VERSION}");
+            return (Outcome::INVALID, text);
+        }
+        let text = request.text.to_string();
+        match request.command {
+            Command::STATUS => (Outcome::DONE, "the status is in the reply".into()),
+            Command::RESET_ODOMETRY => self.order(Change::ResetOdometry),
+            Command::SET_POSE => match convert::requested_pose(request) {
+                Ok(pose) => self.order(Change::SetPose(pose)),
+                Err(problem) => (Outcome::INVALID, problem),
+            },
+            Command::PAUSE => self.order(Change::Pause),
+            Command::RESUME => self.order(Change::Resume),
+            Command::LOAD_SCENE | Command::UNLOAD_SCENE | Command::SELECT_SCENE if text.is_empty() => {
+                (Outcome::INVALID, format!("{} needs the name or path of a scene", request.command))
+            }
+            Command::LOAD_SCENE => self.scene(|control| control.load_scene(&text)),
+            Command::UNLOAD_SCENE => self.scene(|control| control.unload_scene(&text)),
+            Command::SELECT_SCENE => self.scene(|control| control.select_scene(&text)),
+            Command::START_RECORDING | Command::STOP_RECORDING => {
+                (Outcome::UNSUPPORTED, "this daemon cannot record; record with a client instead".into())
+            }
+            unknown => (Outcome::INVALID, format!("{unknown} is no command of this daemon")),
+        }
+    }
+
+    /// Loading takes as long as the disk takes: that is no lack of progress of the pose stream.
+    fn scene(&mut self, work: impl FnOnce(&mut Self) -> Result<String, SceneError>) -> Answer {
+        self.activity.wait();
+        let result = work(self);
+        self.activity.work();
+        self.state.set_scenes(self.scenes.list());
+        match result {
+            Ok(done) => (Outcome::DONE, done),
+            Err(SceneError::Invalid(problem)) => (Outcome::INVALID, problem),
+            Err(SceneError::Refused(problem)) => (Outcome::REFUSED, problem),
+            Err(SceneError::Failed(problem)) => (Outcome::FAILED, problem),
+        }
+    }
+
+    fn load_scene(&mut self, path: &str) -> Result<String, SceneError> {
+        self.scenes.load(Path::new(path))
+    }
+
+    fn select_scene(&mut self, name: &str) -> Result<String, SceneError> {
+        let prepared = self.scenes.prepare_selected(name)?;
+        let done = self.change(Change::Swap(Box::new(prepared))).map_err(SceneError::Failed)?;
+        self.scenes.selected(name);
+        Ok(done)
+    }
+
+    fn unload_scene(&mut self, name: &str) -> Result<String, SceneError> {
+        let replacement = self.scenes.prepare_without(name)?;
+        let done = match replacement {
+            Some(prepared) => self.change(Change::Swap(Box::new(prepared))).map_err(SceneError::Failed)?,
+            None => "it was not in use".to_owned(),
+        };
+        self.scenes.remove(name, &self.state.model());
+        Ok(format!("scene {name} is unloaded; {done}"))
+    }
+
+    fn order(&self, what: Change) -> Answer {
+        match self.change(what) {
+            Ok(done) => (Outcome::DONE, done),
+            Err(problem) => (Outcome::FAILED, problem),
+        }
+    }
+
+    /// Asks the worker, which answers between two frames.
+    fn change(&self, what: Change) -> Result<String, String> {
+        const ENDING: &str = "the daemon is ending";
+        self.activity.wait();
+        let (reply, answer) = bounded(1);
+        let stop = self.stop.channel();
+        select! {
+            send(self.orders, Order { what, reply }) -> sent => sent.map_err(|_| ENDING)?,
+            recv(stop) -> _ => return Err(ENDING.into()),
+        }
+        let answer = select! {
+            recv(answer) -> answer => answer.unwrap_or_else(|_| Err(ENDING.into())),
+            recv(stop) -> _ => Err(ENDING.into()),
+        };
+        self.activity.work();
+        answer
+    }
+}

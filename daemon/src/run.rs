@@ -1,0 +1,215 @@
+//! The daemon from start to end.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crossbeam_channel::{bounded, select, unbounded};
+use grnet_config::{GrnetdConfig, Override};
+use grnet_frame::SourceKind;
+use grnet_proto::BootId;
+
+use crate::capture::{self, Capture};
+use crate::control::{self, Control};
+use crate::failure::Failure;
+use crate::logging::LogHandle;
+use crate::publish::{self, Publish};
+use crate::scenes::SceneLibrary;
+use crate::service_manager::ServiceManager;
+use crate::setup::Parts;
+use crate::signals::{Request, SignalThread};
+use crate::slot::{WhenFull, slot};
+use crate::state::{Identity, State};
+use crate::supervisor::Supervisor;
+use crate::worker::{self, Worker};
+
+/// Samples that may wait for the publisher: a hiccup of some tens of milliseconds at 30 frames/s.
+const QUEUE: usize = 4;
+
+/// The configuration with where it came from, so that it can be read again.
+#[derive(Debug, Clone)]
+pub struct Loaded {
+    /// What is configured.
+    pub config: GrnetdConfig,
+    /// The file.
+    pub path: PathBuf,
+    /// What goes before it.
+    pub overrides: Vec<Override>,
+}
+
+/// Runs until the recording ends, a signal comes or something fails.
+///
+/// # Errors
+/// The first error of any part.
+pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
+    let signals = SignalThread::start()?;
+    let manager = Arc::new(ServiceManager::default());
+    tracing::info!(version = grnet_proto::PACKAGE_VERSION, config = %loaded.path.display(), "starting");
+    manager.status("loading the model");
+    let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };
+    parts.log();
+    let state = Arc::new(parts.state()?);
+
+    let result = stream(parts, &loaded, Arc::clone(&state), Arc::clone(&manager), &signals, log);
+    tracing::info!("{}", state.summary());
+    result
+}
+
+/// capture -> slot of one -> worker: preprocess -> infer -> fuse -> queue -> publish -> iceoryx2.
+fn stream(
+    parts: Parts,
+    loaded: &Loaded,
+    state: Arc<State>,
+    manager: Arc<ServiceManager>,
+    signals: &SignalThread,
+    log: &LogHandle,
+) -> Result<(), Failure> {
+    let Parts { transport, source, pipeline, model, .. } = parts;
+    let GrnetdConfig { publish, source: source_config, model: files, .. } = &loaded.config;
+    let kind = source.info().kind;
+    let (slot_in, slot_out) = slot(WhenFull::from(kind), Arc::clone(&state.counters.slot_dropped));
+    let (queue_in, queue_out) = bounded(QUEUE);
+    let (outages_in, outages_out) = unbounded();
+    let (orders_in, orders_out) = bounded(1);
+    let (gate_in, gate_out) = bounded(1);
+    let mut threads = Supervisor::new(Arc::clone(&manager));
+    let stop = || threads.stop();
+
+    let capture = Capture {
+        source,
+        time_offset_ns: source_config.time_offset_ns,
+        silence: source_config.silence,
+        gate: gate_out,
+        frames: slot_in,
+        outages: outages_in,
+        state: Arc::clone(&state),
+        manager: Arc::clone(&manager),
+        stop: stop(),
+        activity: Default::default(),
+    };
+    let worker = Worker {
+        pipeline,
+        model: model.clone(),
+        frames: slot_out,
+        orders: orders_out,
+        output: queue_in,
+        state: Arc::clone(&state),
+        manager: Arc::clone(&manager),
+        stop: stop(),
+        activity: Default::default(),
+    };
+    let control = Control {
+        transport: transport.clone(),
+        scenes: SceneLibrary::new(&files.checkpoint, files.scene.as_deref(), &model),
+        orders: orders_in,
+        state: Arc::clone(&state),
+        stop: stop(),
+        activity: Default::default(),
+    };
+    let publish = Publish {
+        transport,
+        heartbeat: publish.heartbeat(),
+        silence: (kind == SourceKind::Live).then_some(source_config.silence),
+        wait_for_subscribers: publish.wait_for_subscribers,
+        gate: gate_in,
+        output: queue_out,
+        outages: outages_out,
+        state: Arc::clone(&state),
+        manager: Arc::clone(&manager),
+        stop: stop(),
+        activity: Default::default(),
+    };
+
+    // Who publishes first: a name that is taken ends the daemon before a frame is read.
+    threads.start("publish", &publish.activity.clone(), move || publish::run(publish))?;
+    threads.start("control", &control.activity.clone(), move || control::run(control))?;
+    threads.start("worker", &worker.activity.clone(), move || worker::run(worker))?;
+    threads.start("capture", &capture.activity.clone(), move || capture::run(capture))?;
+    threads.supervise("publish", signals, &state, || reload(loaded, &manager, log))
+}
+
+/// Loads everything on a thread of its own, so that a signal ends the daemon also while a large model is read.
+fn prepare(config: &GrnetdConfig, signals: &SignalThread) -> Result<Option<Parts>, Failure> {
+    let (done, prepared) = bounded(1);
+    let config = config.clone();
+    let load = move || {
+        // Nobody waits any more when a signal came first.
+        let _ = done.send(Parts::prepare(&config));
+    };
+    std::thread::Builder::new()
+        .name("load".into())
+        .spawn(load)
+        .map_err(|error| Failure::internal(format!("cannot start a thread: {error}")))?;
+    loop {
+        select! {
+            recv(prepared) -> parts => {
+                return parts.unwrap_or_else(|_| Err(Failure::internal("loading panicked"))).map(Some);
+            }
+            recv(signals.requests) -> request => match request {
+                Ok(Request::Reload) => tracing::info!("SIGHUP while starting: the configuration was just read"),
+                Ok(Request::Stop(signal)) => {
+                    tracing::info!(signal, "stopped while starting");
+                    return Ok(None);
+                }
+                Err(_) => return Err(Failure::internal("the signal thread has ended")),
+            }
+        }
+    }
+}
+
+impl Parts {
+    fn log(&self) {
+        let info = self.source.info();
+        tracing::info!(source = info.name, kind = ?info.kind, rate_hz = info.nominal_rate_hz, "source");
+        for note in &self.source_notes {
+            tracing::warn!(note, "source");
+        }
+        let pipeline = self.pipeline.info();
+        let scene = self.model.scene.as_ref().map_or("none", |scene| &scene.name);
+        tracing::info!(model = self.model.name, trained = self.model.trained, scene, "model");
+        for note in &pipeline.notes {
+            tracing::warn!(note, "model");
+        }
+    }
+
+    fn state(&self) -> Result<State, Failure> {
+        let boot_id = BootId::random()
+            .map_err(|error| Failure::internal(format!("the kernel gives no random bits: {error}")))?;
+        let identity = Identity {
+            boot_id,
+            camera: self.camera.clone(),
+            access: self.transport.access.wire(),
+            source: self.source.info().name,
+        };
+        Ok(State::new(identity, self.model.clone()))
+    }
+}
+
+/// SIGHUP: the log level is applied, everything else is named; a configuration that cannot be used changes nothing.
+fn reload(loaded: &Loaded, manager: &ServiceManager, log: &LogHandle) {
+    manager.reloading();
+    match GrnetdConfig::load(&loaded.path, &loaded.overrides) {
+        Err(error) => tracing::warn!(%error, "the configuration was not reloaded"),
+        Ok(new) => {
+            let old = &loaded.config;
+            match log.set_level(&new.log.level) {
+                Ok(()) => tracing::info!(level = new.log.level, "the configuration was reloaded"),
+                Err(failure) => tracing::warn!(error = failure.chain(), "log.level was not changed"),
+            }
+            let sections = [
+                ("camera", old.camera_name != new.camera_name),
+                ("source", old.source != new.source),
+                ("model", old.model != new.model),
+                ("frames", old.frames != new.frames),
+                ("tracking", old.tracking != new.tracking),
+                ("publish", old.publish != new.publish),
+                ("log.format", old.log.format != new.log.format),
+            ];
+            let changed: Vec<&str> =
+                sections.iter().filter(|(_, changed)| *changed).map(|(name, _)| *name).collect();
+            if !changed.is_empty() {
+                tracing::warn!(sections = changed.join(", "), "these changes need a restart");
+            }
+        }
+    }
+    manager.reloaded();
+}

@@ -1,0 +1,194 @@
+//! From the configuration to the parts that run. Everything that a configuration can get wrong fails here.
+
+use anyhow::Context as _;
+use grnet_capture::dataset::{self, OpenOptions};
+use grnet_capture::{FolderOptions, FolderSource};
+use grnet_config as config;
+use grnet_config::GrnetdConfig;
+use grnet_frame::FrameSource;
+use grnet_pipeline::{
+    AfterRejections, InnovationGate, IntrinsicsOptions, IntrinsicsPolicy, Pipeline, PipelineOptions,
+    TimeOptions,
+};
+use grnet_proto::access::require_shared_memory;
+use grnet_proto::{AccessMode, CameraName, Root, qos};
+
+use crate::failure::Failure;
+use crate::scenes::{ModelIdentity, Prepared};
+
+/// Everything that the threads need, checked.
+#[derive(Debug)]
+pub struct Parts {
+    /// The name under which poses are published.
+    pub camera: CameraName,
+    /// Who may subscribe, and where.
+    pub transport: Transport,
+    /// Where frames come from.
+    pub source: Box<dyn FrameSource>,
+    /// What a user should know about the source.
+    pub source_notes: Vec<String>,
+    /// Frame to estimate.
+    pub pipeline: Pipeline,
+    /// The weights in it.
+    pub model: ModelIdentity,
+}
+
+/// Who may subscribe, and where the transport keeps its files. Ports are opened by the threads that use them.
+#[derive(Debug, Clone)]
+pub struct Transport {
+    /// Who may subscribe.
+    pub access: AccessMode,
+    /// The folder and prefix.
+    pub root: Root,
+}
+
+impl Parts {
+    /// Checks the configuration to the end: transport, source, weights, intrinsics.
+    ///
+    /// # Errors
+    /// The first thing that cannot be used.
+    pub fn prepare(config: &GrnetdConfig) -> Result<Self, Failure> {
+        let camera = camera(config)?;
+        let transport = Transport::new(&config.publish)?;
+        let (source, source_notes) = open_source(&config.source)?;
+        let (pipeline, model) = load_pipeline(config)?;
+        if let Some(camera) = source.info().camera
+            && config.source.camera.is_none()
+        {
+            pipeline.check_camera(&camera).map_err(Failure::config)?;
+        }
+        Ok(Self { camera, transport, source, source_notes, pipeline, model })
+    }
+}
+
+impl Transport {
+    fn new(publish: &config::PublishConfig) -> Result<Self, Failure> {
+        let access = match publish.access {
+            config::Access::User => AccessMode::User,
+        };
+        access.check_built()?;
+        let root = match &publish.root {
+            Some(path) => Root::own(path, publish.prefix.as_deref())?,
+            None => Root::shared(),
+        };
+        require_shared_memory(qos::shared_memory_needed_bytes())?;
+        Ok(Self { access, root: root.with_creation_timeout(publish.creation_timeout) })
+    }
+}
+
+fn camera(config: &GrnetdConfig) -> Result<CameraName, Failure> {
+    config.camera_name.parse().map_err(Failure::config)
+}
+
+fn load_pipeline(config: &GrnetdConfig) -> Result<(Pipeline, ModelIdentity), Failure> {
+    let config::ModelConfig { checkpoint, scene, .. } = &config.model;
+    let Prepared { model, identity } = Prepared::load(checkpoint, scene.as_deref())
+        .context("the model cannot be loaded (model.checkpoint, model.scene)")
+        .map_err(Failure::config)?;
+    let pipeline = Pipeline::new(model, pipeline_options(config))
+        .context("the pipeline cannot be built")
+        .map_err(Failure::config)?;
+    Ok((pipeline, identity))
+}
+
+/// The options of the pipeline.
+pub fn pipeline_options(config: &GrnetdConfig) -> PipelineOptions {
+    let config::ModelConfig { intrinsics, intrinsics_tolerance, least_coverage, undistort, .. } =
+        config.model;
+    let tracking = &config.tracking;
+    PipelineOptions {
+        base_from_camera: config.frames.base_from_camera,
+        map_from_world: config.frames.map_from_world,
+        camera: config.source.camera,
+        intrinsics: IntrinsicsOptions {
+            policy: match intrinsics {
+                config::IntrinsicsPolicy::Refuse => IntrinsicsPolicy::Refuse,
+                config::IntrinsicsPolicy::Convert => IntrinsicsPolicy::Convert,
+            },
+            tolerance: intrinsics_tolerance,
+            least_coverage,
+            undistort,
+        },
+        time: TimeOptions {
+            longest_gap_ns: tracking.longest_gap.as_nanos() as u64,
+            refused_before_restart: tracking.refused_before_restart,
+        },
+        gate: tracking.gate.map(|gate| InnovationGate {
+            rejections_allowed: gate.rejections_allowed,
+            then: match gate.after_rejections {
+                config::AfterRejections::Reinitialise => AfterRejections::Reinitialise,
+                config::AfterRejections::Lost => AfterRejections::Lost,
+            },
+            agreements_to_recover: gate.agreements_to_recover,
+        }),
+        initializing_frames: tracking.initializing_frames,
+    }
+}
+
+fn open_source(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
+    match source.kind {
+        config::SourceKind::Folder => open_folder(source),
+    }
+}
+
+fn open_folder(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
+    let options = OpenOptions {
+        layout: layout(source.layout),
+        sequence: source.sequence.clone(),
+        camera_name: source.dataset_camera.clone(),
+        rate_hz: source.rate_hz,
+        ..OpenOptions::default()
+    };
+    let recording = dataset::open_one(&source.path, &options)
+        .context("the recording cannot be opened (source.path, source.layout, source.sequence)")
+        .map_err(Failure::config)?;
+    if let (Some(camera), Some(stored_px)) = (&source.camera, recording.image_size_px)
+        && camera.size_px() != stored_px
+    {
+        let ((width, height), (stored_width, stored_height)) = (camera.size_px(), stored_px);
+        return Err(Failure::config(anyhow::anyhow!(
+            "source.intrinsics are for {width}x{height} images, those of {} are {stored_width}x{stored_height}: \
+             give the intrinsics at that size",
+            recording.name
+        )));
+    }
+    let notes = recording.notes.clone();
+    let options = FolderOptions {
+        pace: match source.pace {
+            config::Pace::Realtime => grnet_capture::Pace::Realtime,
+            config::Pace::Factor(factor) => grnet_capture::Pace::Factor(factor),
+            config::Pace::Max => grnet_capture::Pace::Max,
+        },
+        looped: source.looped,
+        start_at: source.first_frame,
+        limit: source.frame_limit,
+    };
+    let source = FolderSource::with_options(recording, options)
+        .context("the recording cannot be played (source.first_frame, source.frame_limit, source.pace)")
+        .map_err(Failure::config)?;
+    Ok((Box::new(source), notes))
+}
+
+fn layout(layout: config::Layout) -> dataset::Layout {
+    match layout {
+        config::Layout::Auto => dataset::Layout::Auto,
+        config::Layout::SevenScenes => dataset::Layout::SevenScenes,
+        config::Layout::Kitti => dataset::Layout::Kitti,
+        config::Layout::Images => dataset::Layout::Images,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_of_the_configuration_are_those_of_the_pipeline() {
+        assert_eq!(pipeline_options(&GrnetdConfig::default()), PipelineOptions::default());
+    }
+
+    #[test]
+    fn the_default_camera_is_the_one_that_clients_ask_for() {
+        assert_eq!(camera(&GrnetdConfig::default()).unwrap(), CameraName::default());
+    }
+}
