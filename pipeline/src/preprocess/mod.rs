@@ -343,7 +343,7 @@ mod tests {
         spec.trained_camera = Some(camera(6.0));
         let options = IntrinsicsOptions { policy: IntrinsicsPolicy::Convert, ..IntrinsicsOptions::default() };
         let mut preprocessor = Preprocessor::new(spec, options, Some(camera(8.0))).unwrap();
-        let tensor = preprocessor.run(&frame(8, 8, vec![255; 192])).unwrap();
+        let tensor = preprocessor.run(&frame(8, 8, vec![255; 192])).unwrap().to_vec();
         let white = tensor[..64].chunks(8).map(|row| row.iter().map(|v| if *v == 1.0 { '#' } else { '.' }));
         let picture: Vec<String> = white.map(Iterator::collect).collect();
         let line = ".######.";

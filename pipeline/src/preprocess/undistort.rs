@@ -47,11 +47,6 @@ impl UndistortMap {
         Some(Self { camera: *camera, taps })
     }
 
-    /// The camera whose distortion this map removes.
-    pub(crate) fn camera(&self) -> &Camera {
-        &self.camera
-    }
-
     /// Undistorts `source` (of the camera's size) into `target`.
     pub(crate) fn apply(&self, source: &RgbImage, target: &mut RgbImage) {
         debug_assert_eq!((source.width_px, source.height_px), self.camera.size_px());
