@@ -85,10 +85,11 @@ def main():
         .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
         .create(iox2.ServiceType.Ipc)
     )
-    name = iox2.ServiceName.new(f"grnet/{args.camera}/pose")
+    name = f"grnet/{args.camera}/pose"
+    service_name = iox2.ServiceName.new(name)
     try:
-        service = node.service_builder(name).publish_subscribe(messages.PoseSample).open()
-        events = node.service_builder(name).event().open()
+        service = node.service_builder(service_name).publish_subscribe(messages.PoseSample).open()
+        events = node.service_builder(service_name).event().open()
     except (iox2.PublishSubscribeOpenError, iox2.EventOpenError) as error:
         print(f"pose_tail.py: no grnetd publishes {name}: {error}; start grnetd", file=sys.stderr)
         return 69
@@ -101,7 +102,8 @@ def main():
         received = subscriber.receive()
         if received is not None:
             # A copy: the chunk goes back to the daemon.
-            sample = messages.PoseSample.from_buffer_copy(ctypes.string_at(received.payload(), ctypes.sizeof(messages.PoseSample)))
+            size = ctypes.sizeof(messages.PoseSample)
+            sample = messages.PoseSample.from_buffer_copy(ctypes.string_at(received.payload(), size))
             received.delete()
             print(json.dumps(as_json(sample)), flush=True)
             printed += 1

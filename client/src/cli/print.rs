@@ -77,7 +77,7 @@ impl Printer {
         match self.format {
             Format::Table
                 if self.rows == 0
-                    || (self.rows % ROWS_PER_HEADER == 0 && std::io::stdout().is_terminal()) =>
+                    || (self.rows.is_multiple_of(ROWS_PER_HEADER) && std::io::stdout().is_terminal()) =>
             {
                 let bold = if self.colours { Style::new().bold() } else { Style::new() };
                 let groups = format!(

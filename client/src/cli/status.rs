@@ -40,13 +40,13 @@ fn report(status: &DaemonStatus, colours: bool) -> String {
     );
     line(
         "source",
-        format!("{}, {}, {}", status.source, status.source_state, human::rate(status.capture_rate_hz)),
+        format!("{}, {}, {}", said(&status.source), status.source_state, human::rate(status.capture_rate_hz)),
     );
     let provenance = match status.provenance {
         Provenance::UNTRAINED => "UNTRAINED: its poses mean nothing".to_owned(),
         other => other.to_string(),
     };
-    line("model", format!("{} ({}), {provenance}", status.model, status.model_hash.short()));
+    line("model", format!("{} ({}), {provenance}", said(&status.model), status.model_hash.short()));
     let scenes: Vec<_> = status
         .loaded_scenes()
         .iter()
@@ -90,6 +90,11 @@ fn report(status: &DaemonStatus, colours: bool) -> String {
         line("", format!("{:>9} {:>9} {:>9} {:>9}  {name}", cells[0], cells[1], cells[2], cells[3]));
     }
     text
+}
+
+/// The text, or a word for its absence.
+fn said(text: &impl ToString) -> String {
+    Some(text.to_string()).filter(|text| !text.is_empty()).unwrap_or_else(|| "unknown".to_owned())
 }
 
 fn health_style(health: Health) -> Style {
