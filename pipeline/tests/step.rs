@@ -129,7 +129,9 @@ fn the_same_frames_give_the_same_bits() {
 #[test]
 fn a_restarted_pipeline_gives_the_bits_of_a_new_one() {
     let mut old = pipeline();
-    (0..4).for_each(|i| drop(step(&mut old, i)));
+    for i in 0..4 {
+        step(&mut old, i);
+    }
     old.on_source_lost();
     let mut new = pipeline();
     for i in 10..14 {
@@ -199,7 +201,9 @@ fn a_gap_in_the_sequence_is_no_gap_in_the_motion() {
 #[test]
 fn a_jump_ahead_or_another_clock_starts_the_odometry_anew() {
     let mut pipeline = pipeline();
-    (0..3).for_each(|i| drop(step(&mut pipeline, i)));
+    for i in 0..3 {
+        step(&mut pipeline, i);
+    }
     let later_ns = frame(2).capture_time.ns + 1_000_000_001;
     let jumped = pipeline.step(&at_ns(3, later_ns), &mut NoObserver).unwrap();
     let recorded = Frame { capture_time: CaptureTime::recorded(5), ..frame(4) };
@@ -354,7 +358,9 @@ fn another_scene_on_the_same_trunk_leaves_the_odometry_going() {
 #[test]
 fn another_trunk_starts_the_odometry_anew() {
     let mut pipeline = pipeline();
-    (0..3).for_each(|i| drop(step(&mut pipeline, i)));
+    for i in 0..3 {
+        step(&mut pipeline, i);
+    }
     let other = LoadedModel::untrained(&NetworkConfig::grnet_small(), 12).unwrap();
     let mut fresh = Pipeline::new(other.clone(), PipelineOptions::default()).unwrap();
     pipeline.swap_model(other).unwrap();
