@@ -62,7 +62,8 @@ pub enum PipelineError {
     Trial(#[from] InferError),
 }
 
-/// Why a frame gave no estimate. The pipeline is as if the frame had never come.
+/// Why a frame gave no estimate. Poses and the network's state are as if the frame had never come; only where the
+/// network itself failed on a frame that jumped in time has the odometry been restarted already.
 #[derive(Debug, thiserror::Error)]
 pub enum StepError {
     /// The frame is not newer than the last one.
