@@ -9,7 +9,7 @@ use std::{
 };
 
 use common::{Rig, SOON, wait_until};
-use grnet_proto::{Node, PoseSubscription};
+use grnet_proto::{Node, PoseSubscription, StatusPublisher};
 use rustix::process::{Pid, Signal, kill_process};
 
 #[test]
@@ -221,6 +221,19 @@ fn signals_end_the_command_at_once_and_silently() {
         drop(out);
         wait_until("its place is free", || daemon.subscribers() == 0);
     }
+}
+
+#[test]
+fn a_signal_ends_the_wait_for_a_state() {
+    let rig = Rig::new();
+    let silent = StatusPublisher::open(&rig.node(), &rig.connection.camera).unwrap();
+    let (child, _out) = spawn(&rig, &["status", "--timeout", "60"]);
+    wait_until("the command has attached", || silent.subscribers() == 1);
+    let start = Instant::now();
+    kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+    let (code, error) = end(child);
+    assert_eq!((code, error.lines().count()), (Some(75), 1), "{error}");
+    assert!(start.elapsed() < Duration::from_secs(1), "{:?}", start.elapsed());
 }
 
 #[test]

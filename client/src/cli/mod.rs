@@ -130,7 +130,7 @@ pub fn main() -> ExitCode {
         let stop = exit::stop_on_signals().context("cannot watch for signals")?;
         match &cli.command {
             Command::Tail(args) => tail::run(&connection, args, &stop),
-            Command::Status(args) => status::run(&connection, args),
+            Command::Status(args) => status::run(&connection, args, &stop),
         }
     };
     exit::code(run())

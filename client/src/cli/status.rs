@@ -1,15 +1,35 @@
 //! `grnet-client status`.
 
-use std::io::{self, Write as _};
+use std::{
+    io::{self, Write as _},
+    sync::atomic::{AtomicBool, Ordering},
+    time::{Duration, Instant},
+};
 
 use anstyle::{AnsiColor, Style};
-use grnet_client::{Connection, DaemonStatus, Health, Provenance, StatusReader};
+use grnet_client::{ClientError, Connection, DaemonStatus, Health, Provenance, StatusReader};
 
 use super::{StatusArgs, human, json};
 
+/// How long a signal can take to be noticed while the daemon says nothing.
+const NOTICE_SIGNAL: Duration = Duration::from_millis(100);
+
 /// Prints the daemon's state once.
-pub fn run(connection: &Connection, args: &StatusArgs) -> anyhow::Result<()> {
-    let status = StatusReader::open(connection)?.read(args.timeout)?;
+pub fn run(connection: &Connection, args: &StatusArgs, stop: &AtomicBool) -> anyhow::Result<()> {
+    let mut reader = StatusReader::open(connection)?;
+    let start = Instant::now();
+    let status = loop {
+        let remaining = args.timeout.saturating_sub(start.elapsed());
+        match reader.read(remaining.min(NOTICE_SIGNAL)) {
+            Ok(status) => break status,
+            Err(ClientError::Timeout { .. } | ClientError::NoDaemon(_))
+                if start.elapsed() < args.timeout && !stop.load(Ordering::Relaxed) => {}
+            Err(ClientError::Timeout { service, expected, .. }) => {
+                return Err(ClientError::Timeout { service, expected, waited: start.elapsed() }.into());
+            }
+            Err(error) => return Err(error.into()),
+        }
+    };
     let text =
         if args.json { format!("{}\n", json::status(&status)) } else { report(&status, human::colours()) };
     let mut out = io::stdout().lock();

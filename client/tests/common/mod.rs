@@ -58,6 +58,15 @@ impl Rig {
     }
 }
 
+impl Drop for Rig {
+    fn drop(&mut self) {
+        // What killed processes left in shared memory can only be found through the folder.
+        if let Ok(node) = Node::open(AccessMode::User, &self.connection.root, Role::Daemon) {
+            node.cleanup_dead_nodes();
+        }
+    }
+}
+
 pub struct DaemonProcess {
     child: Child,
 }
@@ -123,13 +132,9 @@ pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
+/// One prefix serves all tests: iceoryx2 leaves one small file in shared memory per prefix, and all
+/// other names there are unique.
 fn connection(folder: &Path) -> Connection {
-    let root = Root::own(folder, Some(&prefix(folder))).unwrap();
+    let root = Root::own(folder, Some("grnet_test_")).unwrap();
     Connection { root, ..Connection::default() }
-}
-
-/// Unique like the folder: names in shared memory are global.
-fn prefix(folder: &Path) -> String {
-    let name = folder.file_name().unwrap().to_string_lossy();
-    name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
 }

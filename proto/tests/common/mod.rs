@@ -41,14 +41,8 @@ impl Rig {
     }
 }
 
-/// The root in `path`; its prefix is unique too, because names in shared memory are global.
+/// The root in `path`. One prefix serves all tests: iceoryx2 leaves one small file in shared memory per
+/// prefix, and all other names there are unique.
 pub fn root(path: &std::path::Path) -> Root {
-    let prefix: String = path
-        .file_name()
-        .unwrap()
-        .to_string_lossy()
-        .chars()
-        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
-        .collect();
-    Root::own(path, Some(&prefix)).unwrap()
+    Root::own(path, Some("grnet_test_")).unwrap()
 }
