@@ -1,0 +1,268 @@
+//! `grnet-train evaluate`.
+
+use std::collections::HashSet;
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Args;
+use grnet_capture::dataset::{Layout, OpenOptions};
+use grnet_model::LoadedModel;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{
+    BaselineName, Data, DataOptions, EvaluateError, Evaluation, SCHEMA, Summary, add_baselines, add_model,
+    methods,
+    score::{path_m, score},
+};
+use crate::report;
+
+/// Judge checkpoints on a recording with ground truth, beside what they have to beat.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// Checkpoint or trunk; give several to compare them, none for the baselines alone.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub checkpoint: Vec<PathBuf>,
+    /// Scene to be put on the checkpoint's trunk; several are judged one by one. Needs exactly one checkpoint.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub scene: Vec<PathBuf>,
+    /// Folder of the recording.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// How the folder is laid out.
+    #[arg(long, value_enum, default_value_t = LayoutName::Auto)]
+    pub layout: LayoutName,
+    /// The one sequence to take, as `seq-01` or `06` [default: all].
+    #[arg(long, value_name = "NAME")]
+    pub sequence: Option<String>,
+    /// The camera to take where there are several, as `image_2` or `cam1`.
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// Ground truth of the camera instead of the layout's own: TUM, EuRoC or KITTI text.
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Regular time stamps at this rate instead of the recorded ones.
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// List of the frames that retrieval answers from [default: the official training split, if any].
+    #[arg(long, value_name = "FILE")]
+    pub train_list: Option<PathBuf>,
+    /// List of the frames to be judged on [default: the official test split, or all frames].
+    #[arg(long, value_name = "FILE")]
+    pub test_list: Option<PathBuf>,
+    /// Frames between the two ends of a relative motion.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
+    pub gap: u16,
+    /// Baselines to compute [default: all that the recording allows].
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME", conflicts_with = "no_baselines")]
+    pub baselines: Vec<BaselineName>,
+    /// Compute no baseline.
+    #[arg(long)]
+    pub no_baselines: bool,
+    /// Folder of the report; what an earlier report left there is replaced.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// Layouts by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LayoutName {
+    /// Found out from the folder's content.
+    Auto,
+    /// Microsoft 7-Scenes.
+    #[value(name = "7scenes")]
+    SevenScenes,
+    /// KITTI odometry.
+    Kitti,
+    /// TUM RGB-D.
+    Tum,
+    /// EuRoC/ASL.
+    Euroc,
+    /// COLMAP model with its images.
+    Colmap,
+    /// A folder of images.
+    Images,
+}
+
+impl From<LayoutName> for Layout {
+    fn from(name: LayoutName) -> Self {
+        match name {
+            LayoutName::Auto => Self::Auto,
+            LayoutName::SevenScenes => Self::SevenScenes,
+            LayoutName::Kitti => Self::Kitti,
+            LayoutName::Tum => Self::Tum,
+            LayoutName::Euroc => Self::Euroc,
+            LayoutName::Colmap => Self::Colmap,
+            LayoutName::Images => Self::Images,
+        }
+    }
+}
+
+/// Runs the command: evaluates, writes the report, prints the table.
+///
+/// # Errors
+/// When the recording or a checkpoint cannot be read, they do not fit, or the report cannot be written.
+pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
+    report::check_folder(&args.out)?;
+    let evaluation = args.evaluate()?;
+    report::write(&evaluation, &args.out)?;
+    println!("{}", report::terminal_table(&evaluation.summary));
+    println!("report: {}", args.out.join("index.html").display());
+    Ok(())
+}
+
+impl EvaluateArgs {
+    /// Opens everything, plays every model, scores every system.
+    ///
+    /// # Errors
+    /// When the recording or a checkpoint cannot be read, or they do not fit.
+    pub fn evaluate(&self) -> anyhow::Result<Evaluation> {
+        let data = Data::open(&self.data, &self.data_options())?;
+        let models = self.load_models()?;
+        let names = self.baseline_names(&data)?;
+        let cnn1 = names.contains(&BaselineName::Cnn1);
+        let gap = usize::from(self.gap);
+
+        let looks = names.iter().filter(|n| n.looks_at_images() && **n != BaselineName::Cnn1).count();
+        let images = looks * (data.task.train.len() + data.task.test.len());
+        let frames: usize = models.iter().map(|m| methods::model_frames(&m.model, &data, cnn1)).sum();
+        let bar = progress_bar(images + frames)?;
+        let progress = || bar.inc(1);
+
+        let (mut systems, mut infos) = (Vec::new(), Vec::new());
+        for Named { name, files, model } in &models {
+            bar.set_message(name.clone());
+            add_model(&mut systems, &mut infos, &data, (name, files.clone()), model, cnn1, &progress)?;
+        }
+        bar.set_message("baselines");
+        add_baselines(&mut systems, &data, &names, gap, &progress)?;
+        bar.finish_and_clear();
+
+        // Models first, in the order given; then what they have to beat.
+        systems.sort_by_key(|system| !system.is_model());
+        let summary = Summary {
+            schema: SCHEMA,
+            generator: concat!("grnet-train ", env!("CARGO_PKG_VERSION")).into(),
+            sequences: data.tested_sequences().iter().map(|s| data.recordings[*s].name.clone()).collect(),
+            train_frames: data.task.train.len(),
+            test_frames: data.task.test.len(),
+            judged_frames: data.task.test.iter().filter(|view| view.world_from_camera.is_some()).count(),
+            test_blocks: data.task.blocks().len(),
+            path_m: path_m(&data),
+            gap_frames: gap,
+            notes: data.notes.clone(),
+            models: infos,
+            systems: systems.iter().map(|system| score(&data, system, gap)).collect(),
+        };
+        Ok(Evaluation { data, systems, summary })
+    }
+
+    fn data_options(&self) -> DataOptions {
+        DataOptions {
+            open: OpenOptions {
+                layout: self.layout.into(),
+                sequence: self.sequence.clone(),
+                camera_name: self.camera.clone(),
+                poses: self.poses.clone(),
+                rate_hz: self.rate,
+                ..OpenOptions::default()
+            },
+            train_list: self.train_list.clone(),
+            test_list: self.test_list.clone(),
+        }
+    }
+
+    /// The baselines asked for; by default those that the recording allows.
+    fn baseline_names(&self, data: &Data) -> anyhow::Result<Vec<BaselineName>> {
+        use clap::ValueEnum as _;
+        if self.no_baselines {
+            return Ok(Vec::new());
+        }
+        let no_training = data.task.train.is_empty();
+        if self.baselines.is_empty() {
+            let all = BaselineName::value_variants().iter().copied();
+            return Ok(all.filter(|name| !(no_training && name.needs_training())).collect());
+        }
+        if self.baselines.contains(&BaselineName::Cnn1) && self.checkpoint.is_empty() {
+            anyhow::bail!("--baselines cnn1 needs a network to look with: give --checkpoint");
+        }
+        let mut names = self.baselines.clone();
+        names.dedup();
+        if let Some(name) = names.iter().find(|name| no_training && name.needs_training()) {
+            let name = name.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+            anyhow::bail!("--baselines {name} needs training frames with a pose: give --train-list");
+        }
+        Ok(names)
+    }
+
+    fn load_models(&self) -> anyhow::Result<Vec<Named>> {
+        if !self.scene.is_empty() && self.checkpoint.len() != 1 {
+            anyhow::bail!(
+                "--scene puts a scene on one checkpoint, found {} checkpoints: give exactly one --checkpoint",
+                self.checkpoint.len()
+            );
+        }
+        let scenes: Vec<Option<&Path>> = match self.scene.as_slice() {
+            [] => vec![None],
+            scenes => scenes.iter().map(|scene| Some(scene.as_path())).collect(),
+        };
+        let mut taken = HashSet::new();
+        let mut models = Vec::new();
+        for checkpoint in &self.checkpoint {
+            for scene in &scenes {
+                let model = LoadedModel::load(checkpoint, *scene).map_err(|source| {
+                    EvaluateError::Checkpoint { path: scene.unwrap_or(checkpoint).to_path_buf(), source }
+                })?;
+                let shown = scene.filter(|_| scenes.len() > 1).unwrap_or(checkpoint);
+                let name = unique(&mut taken, shown);
+                let files = [Some(checkpoint.as_path()), *scene].into_iter().flatten();
+                models.push(Named {
+                    name,
+                    files: files.map(|file| file.display().to_string()).collect(),
+                    model,
+                });
+            }
+        }
+        Ok(models)
+    }
+}
+
+struct Named {
+    name: String,
+    files: Vec<String>,
+    model: LoadedModel,
+}
+
+/// The file's name without its extension; a number is added when it is taken.
+fn unique(taken: &mut HashSet<String>, file: &Path) -> String {
+    let stem = file.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
+    let numbered = (2..).map(|n| format!("{stem} ({n})"));
+    let name =
+        std::iter::once(stem.clone()).chain(numbered).find(|name| !taken.contains(name)).unwrap_or(stem);
+    taken.insert(name.clone());
+    name
+}
+
+/// Draws on a terminal only.
+fn progress_bar(steps: usize) -> anyhow::Result<ProgressBar> {
+    let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} frames  {per_sec}  {eta} left")
+        .context("cannot draw a progress bar")?;
+    let bar = ProgressBar::new(steps as u64).with_style(style);
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+    }
+    Ok(bar)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_file_names_get_numbers() {
+        let mut taken = HashSet::new();
+        let names = ["a/last.safetensors", "b/last.safetensors", "c/best.safetensors"];
+        let names = names.map(|file| unique(&mut taken, Path::new(file)));
+        assert_eq!(names, ["last", "last (2)", "best"]);
+    }
+}
