@@ -25,6 +25,13 @@ test: ## every default test (no GPU, no network while they run)
 	else echo "$(CARGO) test --workspace (install cargo-nextest for a quicker run)"; $(CARGO) test --workspace --lib --bins --tests --features grnet-capture/conformance; fi
 	$(CARGO) test --workspace --doc
 
+.PHONY: test-vm
+test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusals, unplugging (slow; fetches a kernel once)
+	@scripts/install-packages build
+	$(CARGO) build --workspace --bins
+	$(CARGO) build -p grnet-capture --features conformance --example v4l2_capture
+	@tests/vm/run
+
 .PHONY: lint
 lint: ## formatting, clippy, docs, licences, bans and sources of the dependencies
 	@scripts/install-packages build

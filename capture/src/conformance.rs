@@ -18,7 +18,7 @@
 
 use std::time::{Duration, Instant};
 
-use grnet_frame::{Clock, Frame, FrameSource, Received, SourceError, SourceKind};
+use grnet_frame::{Clock, Frame, FrameSource, Received, SourceError, SourceInfo, SourceKind};
 
 /// How far a source is followed.
 #[derive(Debug, Clone, PartialEq)]
@@ -124,7 +124,10 @@ fn run(source: &mut dyn FrameSource, limits: &Limits) -> (Report, Vec<Frame>) {
         let whole = info.length.is_some_and(|length| length < limits.frames);
         assert!(!whole, "{}: more frames than its length {:?}", info.name, info.length);
     }
-    assert_eq!(source.info(), info, "information stays the same");
+    // A camera learns its rate when it is opened.
+    let rate_hz = source.info().nominal_rate_hz;
+    let completed = SourceInfo { nominal_rate_hz: info.nominal_rate_hz.or(rate_hz), ..info };
+    assert_eq!(source.info(), completed, "information stays the same");
     (report, frames)
 }
 
@@ -197,7 +200,7 @@ fn zero_timeouts_are_enough(source: &mut dyn FrameSource, limits: &Limits) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use grnet_frame::{CaptureTime, PixelFormat, Pixels, SourceInfo};
+    use grnet_frame::{CaptureTime, PixelFormat, Pixels};
     use std::sync::Arc;
 
     /// A source whose faults are chosen.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`dataset`] | reads the folders of 7-Scenes, KITTI odometry, TUM RGB-D, EuRoC/ASL, COLMAP and plain images into [`dataset::Recording`]s: paths, times, intrinsics, true poses |
 //! | [`folder`] | [`FolderSource`] plays a recording: at real-time pace like a camera, by a factor, or as fast as possible |
+//! | [`v4l2`] | [`V4l2Source`] captures from a V4L2 camera; lists cameras; survives unplugging |
 //! | [`decode`] | PNG and JPEG files and buffers to [`Pixels`](grnet_frame::Pixels) |
 //! | [`clock`] | `CLOCK_MONOTONIC`, the clock of every live source |
 //! | `conformance` | the contract of `FrameSource` as a test suite (feature `conformance`) |
@@ -11,7 +12,8 @@
 //! A source of another kind (a device, a video, a robot log) is a module beside [`folder`]: it implements
 //! `FrameSource`, stamps its frames with [`clock::monotonic_ns`] when it is live, decodes through
 //! [`decode`], and its tests call `conformance::check`.
-#![forbid(unsafe_code)]
+// Two files allow it: v4l2/stream.rs and v4l2/controls.rs.
+#![deny(unsafe_code)]
 #![deny(missing_docs)]
 
 pub mod clock;
@@ -20,8 +22,10 @@ pub mod conformance;
 pub mod dataset;
 pub mod decode;
 pub mod folder;
+pub mod v4l2;
 
 pub use folder::{FolderOptions, FolderSource, Pace};
+pub use v4l2::{V4l2Options, V4l2Source};
 
 #[cfg(test)]
 mod tests;

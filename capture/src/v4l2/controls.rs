@@ -16,6 +16,9 @@ use v4l::{Device, v4l2};
 const NUMBERS: [u32; 6] = [1, 2, 3, 5, 8, 9];
 /// `V4L2_CTRL_TYPE_INTEGER64`.
 const INTEGER64: u32 = 5;
+/// What a device that was pulled out answers.
+const ENODEV: i32 = 19;
+const EIO: i32 = 5;
 /// Disabled, or read-only.
 const UNSETTABLE: u32 = 0x0001 | 0x0004;
 
@@ -74,36 +77,64 @@ pub(super) fn list(device: &Device) -> Vec<ControlInfo> {
     }
 }
 
-/// Sets each control by name and reads it back; the error says which one, what was asked and what is allowed.
-pub(super) fn apply(device: &Device, wanted: &BTreeMap<String, i64>) -> Result<(), String> {
-    if wanted.is_empty() {
-        return Ok(());
-    }
-    let available = list(device);
+/// Why the controls are not as asked.
+#[derive(Debug)]
+pub(super) enum ControlError {
+    /// This camera cannot have it: which control, what was asked, what is allowed.
+    Refused(String),
+    /// The camera has gone meanwhile.
+    Device(io::Error),
+}
+
+/// Sets each control by name and reads it back.
+pub(super) fn apply(device: &Device, wanted: &BTreeMap<String, i64>) -> Result<(), ControlError> {
+    let available = if wanted.is_empty() { Vec::new() } else { list(device) };
+    let mut checked = Vec::new();
     for (name, &value) in wanted {
-        let Some(control) = available.iter().find(|c| c.name == key(name)) else {
-            let names: Vec<_> = available.iter().filter(|c| c.settable).map(|c| c.name.as_str()).collect();
-            return Err(format!("it has no control '{name}' (it has: {})", names.join(", ")));
+        checked.push((name, find(&available, name, value).map_err(ControlError::Refused)?, value));
+    }
+    // A control may be refused until another one is set (an exposure while the automatic owns it): the first round
+    // only sets, the second tells.
+    for (_, control, value) in &checked {
+        let _ = write(device, control, *value);
+    }
+    for (name, control, value) in checked {
+        let failed = |what: &str, error: io::Error| match error.raw_os_error() {
+            Some(ENODEV | EIO) => ControlError::Device(error),
+            _ => ControlError::Refused(format!("control '{name}' = {value} {what}: {error}")),
         };
-        if !control.settable {
-            return Err(format!("its control '{name}' cannot be set"));
-        }
-        if value < control.minimum || value > control.maximum {
-            return Err(format!("control '{name}' = {value} lies outside {}..{}", control.minimum, control.maximum));
-        }
-        device
-            .set_control(Control { id: control.id, value: Value::Integer(value) })
-            .map_err(|e| format!("control '{name}' = {value} was refused: {e}"))?;
-        let found = read(device, control).map_err(|e| format!("control '{name}' cannot be read back: {e}"))?;
+        write(device, control, value).map_err(|e| failed("was refused", e))?;
+        let found = read(device, control).map_err(|e| failed("cannot be read back", e))?;
         if found != value {
             let ControlInfo { minimum, maximum, step, .. } = control;
-            return Err(format!(
+            return Err(ControlError::Refused(format!(
                 "control '{name}' was set to {value} and reads {found} (allowed: {minimum}..{maximum} in steps of {step}; \
                  an automatic mode may own it)"
-            ));
+            )));
         }
     }
     Ok(())
+}
+
+fn find<'a>(available: &'a [ControlInfo], name: &str, value: i64) -> Result<&'a ControlInfo, String> {
+    let Some(control) = available.iter().find(|c| c.name == key(name)) else {
+        let names: Vec<_> = available.iter().filter(|c| c.settable).map(|c| c.name.as_str()).collect();
+        return Err(format!("it has no control '{name}' (it has: {})", names.join(", ")));
+    };
+    if !control.settable {
+        return Err(format!("its control '{name}' cannot be set"));
+    }
+    if value < control.minimum || value > control.maximum {
+        return Err(format!(
+            "control '{name}' = {value} lies outside {}..{}",
+            control.minimum, control.maximum
+        ));
+    }
+    Ok(control)
+}
+
+fn write(device: &Device, control: &ControlInfo, value: i64) -> io::Result<()> {
+    device.set_control(Control { id: control.id, value: Value::Integer(value) })
 }
 
 fn read(device: &Device, control: &ControlInfo) -> io::Result<i64> {
@@ -130,10 +161,32 @@ fn key(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+
     #[test]
     fn names_are_those_of_v4l2_ctl() {
-        assert_eq!(super::key("Exposure Time, Absolute"), "exposure_time_absolute");
-        assert_eq!(super::key("White Balance, Automatic"), "white_balance_automatic");
-        assert_eq!(super::key("gain"), "gain");
+        assert_eq!(key("Exposure Time, Absolute"), "exposure_time_absolute");
+        assert_eq!(key("White Balance, Automatic"), "white_balance_automatic");
+        assert_eq!(key("gain"), "gain");
+    }
+
+    #[test]
+    fn what_cannot_be_set_is_refused_with_what_can() {
+        let gain = ControlInfo {
+            id: 1,
+            name: "gain".into(),
+            minimum: 0,
+            maximum: 255,
+            step: 1,
+            default: 9,
+            settable: true,
+            wide: false,
+        };
+        let fixed = ControlInfo { name: "serial".into(), settable: false, ..gain.clone() };
+        let available = [gain, fixed];
+        assert_eq!(find(&available, "Gain", 255).unwrap().name, "gain");
+        assert!(find(&available, "gian", 1).unwrap_err().ends_with("(it has: gain)"));
+        assert!(find(&available, "gain", 256).unwrap_err().contains("outside 0..255"));
+        assert!(find(&available, "serial", 1).unwrap_err().contains("cannot be set"));
     }
 }

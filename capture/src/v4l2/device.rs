@@ -1,18 +1,21 @@
 //! Opening a camera and agreeing with its driver on format, size, rate and controls.
 
 use std::fmt::Write as _;
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
 use std::{io, panic};
 
 use grnet_frame::PixelFormat;
 use v4l::capability::Flags;
+use v4l::format::FieldOrder;
 use v4l::frameinterval::FrameIntervalEnum;
 use v4l::framesize::FrameSizeEnum;
 use v4l::video::Capture;
 use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC, Fraction};
 
-use super::{V4l2Options, controls};
+use super::V4l2Options;
+use super::controls::{self, ControlError};
 
 /// The formats that can be used, with the FourCC under which V4L2 knows them; the cheapest to convert first.
 pub(super) const FORMATS: [(PixelFormat, &[u8; 4]); 5] = [
@@ -44,6 +47,9 @@ pub(super) enum OpenError {
 
 pub(super) fn open(options: &V4l2Options) -> Result<(Device, Agreed), OpenError> {
     let path = &options.device;
+    if path.as_os_str().as_bytes().contains(&0) {
+        return Err(OpenError::Unfit("its name holds a zero byte".into()));
+    }
     let device = Device::with_path(path).map_err(|e| OpenError::Unavailable(unavailable(path, &e)))?;
     let agreed = no_panic(path, || agree(&device, options))?;
     Ok((device, agreed))
@@ -52,16 +58,23 @@ pub(super) fn open(options: &V4l2Options) -> Result<(Device, Agreed), OpenError>
 /// Crate `v4l` panics on strings and enumerators of the driver that it does not know; a strange camera must not end us.
 pub(super) fn no_panic<T>(path: &Path, f: impl FnOnce() -> Result<T, OpenError>) -> Result<T, OpenError> {
     panic::catch_unwind(panic::AssertUnwindSafe(f)).unwrap_or_else(|_| {
-        Err(OpenError::Unfit(format!("the driver of {} describes itself in a way that cannot be read", path.display())))
+        Err(OpenError::Unfit(format!(
+            "the driver of {} describes itself in a way that cannot be read",
+            path.display()
+        )))
     })
 }
 
 fn agree(device: &Device, options: &V4l2Options) -> Result<Agreed, OpenError> {
     let gone = |e: io::Error| OpenError::Unavailable(unavailable(&options.device, &e));
-    let capabilities = device.query_caps().map_err(gone)?.capabilities;
-    if !capabilities.contains(Flags::VIDEO_CAPTURE | Flags::STREAMING) {
+    let capabilities = device.query_caps().map_err(|e| match e.raw_os_error() {
+        Some(ENOTTY) => OpenError::Unfit("it is no V4L2 device; run `grnetd devices`".into()),
+        _ => gone(e),
+    })?;
+    if !capabilities.capabilities.contains(Flags::VIDEO_CAPTURE | Flags::STREAMING) {
         return Err(OpenError::Unfit(
-            "it is no streaming video capture device (metadata and output nodes have names like it); run `grnetd devices`"
+            "it is no streaming single-plane video capture device (metadata and output nodes have names like it); run \
+             `grnetd devices`"
                 .into(),
         ));
     }
@@ -72,24 +85,38 @@ fn agree(device: &Device, options: &V4l2Options) -> Result<Agreed, OpenError> {
     };
     let (width, height) = options.size_px.unwrap_or((current.width, current.height));
     let asked = Format::new(width, height, fourcc(format));
-    let found = device.set_format(&asked).map_err(|e| match e.raw_os_error() {
-        Some(EBUSY) => OpenError::Unavailable("another program streams from it".into()),
-        _ => OpenError::Unavailable(format!("setting {width}x{height} {format} failed: {e}")),
-    })?;
-    let exact = (found.width, found.height, found.fourcc) == (width, height, asked.fourcc);
-    let Some(found_format) = pixel_format(found.fourcc) else {
-        return Err(OpenError::Unfit(format!("it gives {} only, which is not understood", found.fourcc)));
-    };
-    if !exact && !options.accept_substitutes {
+    let refused = |got: String| {
         let offers = offers(device);
-        return Err(OpenError::Unfit(format!(
-            "it offers no {width}x{height} {format} (the driver would give {}x{} {found_format}; available: {offers}); set \
-             source.size_px and source.format to one of these, or source.accept_substitutes = true",
-            found.width, found.height
+        OpenError::Unfit(format!(
+            "it offers no {width}x{height} {format} ({got}; available: {offers}); set source.size_px and source.format to \
+             one of these, or source.accept_substitutes = true"
+        ))
+    };
+    let found = device.set_format(&asked).map_err(|e| match e.raw_os_error() {
+        Some(EINVAL) => refused("the driver refuses it".into()),
+        _ => gone(e),
+    })?;
+    let exact = (found.width, found.height) == (width, height) && pixel_format(found.fourcc) == Some(format);
+    if !exact && !options.accept_substitutes {
+        return Err(refused(format!(
+            "the driver would give {}x{} {}",
+            found.width, found.height, found.fourcc
         )));
     }
-    let rate_hz = agree_rate(device, options)?;
-    controls::apply(device, &options.controls).map_err(OpenError::Unfit)?;
+    let Some(found_format) = pixel_format(found.fourcc) else {
+        return Err(refused(format!("the driver gives {}, which is not understood", found.fourcc)));
+    };
+    if !matches!(found.field_order, FieldOrder::Any | FieldOrder::Progressive | FieldOrder::Interlaced) {
+        return Err(OpenError::Unfit(format!(
+            "it gives single fields ({}), not whole images",
+            found.field_order
+        )));
+    }
+    let rate_hz = agree_rate(device, options, &found)?;
+    controls::apply(device, &options.controls).map_err(|error| match error {
+        ControlError::Refused(reason) => OpenError::Unfit(reason),
+        ControlError::Device(error) => gone(error),
+    })?;
     let least_stride = found_format.row_bytes(found.width).unwrap_or(0);
     Ok(Agreed {
         format: found_format,
@@ -100,7 +127,7 @@ fn agree(device: &Device, options: &V4l2Options) -> Result<Agreed, OpenError> {
     })
 }
 
-fn agree_rate(device: &Device, options: &V4l2Options) -> Result<Option<f64>, OpenError> {
+fn agree_rate(device: &Device, options: &V4l2Options, got: &Format) -> Result<Option<f64>, OpenError> {
     let rate = |p: &Parameters| {
         let Fraction { numerator, denominator } = p.interval;
         (numerator > 0 && denominator > 0).then(|| f64::from(denominator) / f64::from(numerator))
@@ -110,15 +137,19 @@ fn agree_rate(device: &Device, options: &V4l2Options) -> Result<Option<f64>, Ope
     };
     // Milliseconds would miss 29.97: the interval is given in units of 1/(1000 rate) s.
     let interval = Fraction::new(1000, (wanted_hz * 1000.0).round() as u32);
-    let found = device
-        .set_params(&Parameters::new(interval))
-        .map_err(|e| OpenError::Unfit(format!("it does not let the frame rate be set ({e}); leave out source.rate_hz")))?;
+    let found = device.set_params(&Parameters::new(interval)).map_err(|e| match e.raw_os_error() {
+        Some(EINVAL | ENOTTY) => {
+            OpenError::Unfit(format!("it does not let the frame rate be set ({e}); leave out source.rate_hz"))
+        }
+        _ => OpenError::Unavailable(unavailable(&options.device, &e)),
+    })?;
     let found_hz = rate(&found);
     let close = found_hz.is_some_and(|hz| (hz - wanted_hz).abs() <= 0.01 * wanted_hz);
     if !close && !options.accept_substitutes {
         let found = found_hz.map_or("an unknown rate".into(), |hz| format!("{hz:.2} Hz"));
+        let offers = rates(device, &got.fourcc.repr, got.width, got.height);
         return Err(OpenError::Unfit(format!(
-            "it gives {found} where {wanted_hz} Hz was asked; set source.rate_hz to a rate that `grnetd devices` lists, or \
+            "it gives {found} where {wanted_hz} Hz was asked (available at this size:{offers}); set source.rate_hz to one of these, or \
              source.accept_substitutes = true"
         )));
     }
@@ -188,16 +219,25 @@ fn pixel_format(code: FourCC) -> Option<PixelFormat> {
     FORMATS.iter().find(|(_, c)| **c == code.repr).map(|(f, _)| *f)
 }
 
-/// EBUSY.
+/// Nothing behind the file answers V4L2 requests, or this one.
+const ENOTTY: i32 = 25;
+const EINVAL: i32 = 22;
 const EBUSY: i32 = 16;
+/// Pulled out while it was open.
+pub(super) const ENODEV: i32 = 19;
 
-fn unavailable(path: &Path, error: &io::Error) -> String {
+pub(super) fn unavailable(path: &Path, error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::NotFound => "no such device (unplugged, or another name: run `grnetd devices`)".into(),
         io::ErrorKind::PermissionDenied => {
-            format!("no permission to open it: let this user into the group that owns {} (video)", path.display())
+            format!(
+                "no permission to open it: let this user into the group that owns {} (video)",
+                path.display()
+            )
         }
-        _ if error.raw_os_error() == Some(EBUSY) => "another program holds it".into(),
+        _ if error.raw_os_error() == Some(EBUSY) => {
+            "another program streams from it; end that program (`fuser` shows it)".into()
+        }
         _ => error.to_string(),
     }
 }

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use v4l::Device;
 use v4l::capability::Flags;
-use v4l::{Device, context};
 
 use super::controls::{self, ControlInfo};
 use super::device::{OpenError, no_panic, offers};
@@ -30,9 +30,12 @@ pub struct CameraInfo {
 
 /// Every V4L2 node that captures video, in the order of their numbers.
 pub fn list_cameras() -> Vec<CameraInfo> {
-    // Crate `v4l` panics on names under /dev that start like a camera and carry no number.
-    let nodes = std::panic::catch_unwind(context::enum_devices).unwrap_or_default();
-    let mut paths: Vec<PathBuf> = nodes.iter().map(|n| n.path().to_owned()).collect();
+    let Ok(entries) = fs::read_dir("/dev") else { return Vec::new() };
+    let is_video = |path: &PathBuf| {
+        let number = path.file_name().and_then(|name| name.to_str()?.strip_prefix("video"));
+        number.is_some_and(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
+    };
+    let mut paths: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(is_video).collect();
     paths.sort_by(|a, b| alphanumeric_sort::compare_path(a, b));
     paths.iter().filter_map(|path| describe(path)).collect()
 }

@@ -1,7 +1,8 @@
 //! V4L2 cameras behind [`FrameSource`].
 //!
 //! A camera that is missing, pulled out or stalled is [`SourceError::Lost`] and every further call tries to get it back;
-//! a camera that cannot do what is asked is [`SourceError::Unusable`]. Time stamps are the driver's (`CLOCK_MONOTONIC`;
+//! a camera that cannot do what is asked is [`SourceError::Unusable`], unless it once could: then another camera may have
+//! taken its name, and the right one may come back. Time stamps are the driver's (`CLOCK_MONOTONIC`;
 //! the kernel allows them to lie slightly in the future), sequence numbers too: a gap in them is counted as dropped.
 //!
 //! Handwritten `unsafe` lives in `stream.rs` and `controls.rs` and nowhere else in this crate.
@@ -16,10 +17,12 @@ mod watch;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use grnet_frame::{CaptureTime, Frame, FrameSource, PixelFormat, Pixels, Received, SourceError, SourceInfo, SourceKind};
+use grnet_frame::{
+    CaptureTime, Frame, FrameSource, PixelFormat, Pixels, Received, SourceError, SourceInfo, SourceKind,
+};
 use v4l::Device;
 
-use self::device::{Agreed, OpenError};
+use self::device::{Agreed, ENODEV, OpenError};
 use self::stream::{Filled, Stream};
 use self::watch::NodeWatch;
 use crate::clock::monotonic_ns;
@@ -35,13 +38,14 @@ pub struct V4l2Source {
     state: State,
     counter: Counter,
     dropped_frames: u64,
+    /// What was agreed at the last opening.
+    agreed: Option<Agreed>,
 }
 
 enum State {
     Closed,
     /// The device stays open as long as its stream: closing it would end the stream.
     Open {
-        agreed: Agreed,
         stream: Stream,
         last_frame: Instant,
         _device: Device,
@@ -51,7 +55,10 @@ enum State {
 impl fmt::Debug for V4l2Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let open = matches!(self.state, State::Open { .. });
-        f.debug_struct("V4l2Source").field("device", &self.options.device).field("open", &open).finish_non_exhaustive()
+        f.debug_struct("V4l2Source")
+            .field("device", &self.options.device)
+            .field("open", &open)
+            .finish_non_exhaustive()
     }
 }
 
@@ -59,7 +66,14 @@ impl V4l2Source {
     /// A source that opens its camera at the first call of [`FrameSource::next_frame`].
     pub fn new(options: V4l2Options) -> Self {
         let watch = NodeWatch::new(&options.device);
-        Self { options, watch, state: State::Closed, counter: Counter::default(), dropped_frames: 0 }
+        Self {
+            options,
+            watch,
+            state: State::Closed,
+            counter: Counter::default(),
+            dropped_frames: 0,
+            agreed: None,
+        }
     }
 
     /// Opens the camera, agrees on everything that is asked and closes it again: what `grnetd check` does.
@@ -68,10 +82,8 @@ impl V4l2Source {
     /// [`SourceError::Lost`] when it is not there or busy, [`SourceError::Unusable`] when it cannot do what is asked.
     pub fn probe(options: &V4l2Options) -> Result<String, SourceError> {
         let source = Self::new(options.clone());
-        match device::open(options) {
-            Ok((_, agreed)) => Ok(agreed.describe()),
-            Err(error) => Err(source.source_error(error)),
-        }
+        let (_, agreed) = source.open_device()?;
+        Ok(agreed.describe())
     }
 
     fn name(&self) -> String {
@@ -85,38 +97,45 @@ impl V4l2Source {
     fn source_error(&self, error: OpenError) -> SourceError {
         match error {
             OpenError::Unavailable(reason) => self.lost(reason),
+            OpenError::Unfit(reason) if self.agreed.is_some() => self.lost(reason),
             OpenError::Unfit(reason) => SourceError::Unusable { source_name: self.name(), reason },
         }
     }
 
-    fn open(&mut self) -> Result<(), SourceError> {
+    fn open_device(&self) -> Result<(Device, Agreed), SourceError> {
         let (device, agreed) = device::open(&self.options).map_err(|e| self.source_error(e))?;
-        if let Some(camera) = self.options.camera.filter(|c| c.size_px() != (agreed.width_px, agreed.height_px)) {
+        if let Some(camera) =
+            self.options.camera.filter(|c| c.size_px() != (agreed.width_px, agreed.height_px))
+        {
             let (w, h) = camera.size_px();
-            let reason = format!(
-                "it gives {}x{} and the configured intrinsics are for {w}x{h}; calibrate at the size that is captured",
+            return Err(self.source_error(OpenError::Unfit(format!(
+                "it gives {}x{} and source.intrinsics are for {w}x{h}; set source.size_px to that size, or calibrate at the \
+                 size that is captured",
                 agreed.width_px, agreed.height_px
-            );
-            return Err(SourceError::Unusable { source_name: self.name(), reason });
+            ))));
         }
-        let stream = Stream::start(&device, self.options.buffers)
-            .map_err(|e| self.lost(format!("its stream does not start: {e}")))?;
+        Ok((device, agreed))
+    }
+
+    fn open(&mut self) -> Result<(), SourceError> {
+        let (device, agreed) = self.open_device()?;
+        let stream = Stream::start(&device, self.options.buffers).map_err(|e| {
+            self.lost(format!("its stream does not start: {}", device::unavailable(&self.options.device, &e)))
+        })?;
         self.counter.reopened();
-        self.state = State::Open { agreed, stream, last_frame: Instant::now(), _device: device };
+        self.agreed = Some(agreed);
+        self.state = State::Open { stream, last_frame: Instant::now(), _device: device };
         Ok(())
     }
 }
 
 impl FrameSource for V4l2Source {
     fn info(&self) -> SourceInfo {
-        let rate = match &self.state {
-            State::Open { agreed, .. } => agreed.rate_hz,
-            State::Closed => self.options.rate_hz,
-        };
         SourceInfo {
             name: self.name(),
             kind: SourceKind::Live,
-            nominal_rate_hz: rate,
+            // What the driver has said, once it was asked.
+            nominal_rate_hz: self.agreed.and_then(|agreed| agreed.rate_hz),
             length: None,
             camera: self.options.camera,
         }
@@ -125,7 +144,6 @@ impl FrameSource for V4l2Source {
     fn next_frame(&mut self, timeout: Duration) -> Result<Received, SourceError> {
         let deadline = Instant::now() + timeout;
         if matches!(self.state, State::Closed) {
-            // The first look does not wait: a missing camera is announced at once.
             if let Err(error) = self.open() {
                 if !matches!(error, SourceError::Lost { .. }) || timeout.is_zero() {
                     return Err(error);
@@ -141,16 +159,18 @@ impl FrameSource for V4l2Source {
                 self.open()?;
             }
         }
-        let State::Open { agreed, stream, last_frame, .. } = &mut self.state else { unreachable!("opened above") };
-        let agreed = *agreed;
+        let (State::Open { stream, last_frame, .. }, Some(agreed)) = (&mut self.state, self.agreed) else {
+            unreachable!("opened above")
+        };
         let left = deadline.saturating_duration_since(Instant::now());
-        let (time_offset_ns, camera) = (self.options.time_offset_ns, self.options.camera);
-        let read = stream.next(left, |filled| (filled.sequence, frame(&filled, &agreed, time_offset_ns)));
+        let camera = self.options.camera;
+        let read = stream.next(left, |filled| (filled.sequence, frame(&filled, &agreed)));
         match read {
             Ok(None) if last_frame.elapsed() > self.options.stall_timeout => {
                 self.state = State::Closed;
                 let stall_timeout = self.options.stall_timeout;
-                Err(self.lost(format!("no frame for {} ms: the stream has stalled", stall_timeout.as_millis())))
+                Err(self
+                    .lost(format!("no frame for {} ms: the stream has stalled", stall_timeout.as_millis())))
             }
             Ok(None) => Ok(Received::Timeout),
             Ok(Some((driver_sequence, result))) => {
@@ -167,7 +187,7 @@ impl FrameSource for V4l2Source {
             Err(error) => {
                 self.state = State::Closed;
                 Err(self.lost(match error.raw_os_error() {
-                    Some(19) => "unplugged".to_owned(), // ENODEV
+                    Some(ENODEV) => "unplugged".to_owned(),
                     _ => format!("streaming failed: {error}"),
                 }))
             }
@@ -186,7 +206,7 @@ impl Agreed {
     }
 }
 
-fn frame(filled: &Filled<'_>, agreed: &Agreed, time_offset_ns: i64) -> Result<(Pixels, CaptureTime), String> {
+fn frame(filled: &Filled<'_>, agreed: &Agreed) -> Result<(Pixels, CaptureTime), String> {
     if filled.corrupt {
         return Err("the driver flagged its data as corrupt".into());
     }
@@ -194,7 +214,7 @@ fn frame(filled: &Filled<'_>, agreed: &Agreed, time_offset_ns: i64) -> Result<(P
         return Err(format!("{} bytes that do not start like a JPEG", filled.bytes.len()));
     }
     let stamp_ns = filled.monotonic_ns.unwrap_or_else(monotonic_ns);
-    let capture_time = CaptureTime::monotonic(stamp_ns.saturating_add_signed(time_offset_ns));
+    let capture_time = CaptureTime::monotonic(stamp_ns);
     let data = filled.bytes.to_vec();
     let pixels = Pixels::strided(agreed.format, agreed.width_px, agreed.height_px, agreed.stride_bytes, data);
     Ok((pixels.map_err(|e| e.to_string())?, capture_time))
@@ -262,11 +282,11 @@ mod tests {
         let agreed =
             Agreed { format: PixelFormat::Gray8, width_px: 4, height_px: 2, stride_bytes: 4, rate_hz: None };
         let filled = |bytes, corrupt| Filled { bytes, sequence: 0, monotonic_ns: Some(1_000), corrupt };
-        let (pixels, time) = frame(&filled(&[1; 8], false), &agreed, -400).unwrap();
-        assert_eq!((pixels.data().len(), time), (8, CaptureTime::monotonic(600)));
-        assert!(frame(&filled(&[1; 8], true), &agreed, 0).unwrap_err().contains("corrupt"));
-        assert!(frame(&filled(&[1; 7], false), &agreed, 0).unwrap_err().contains("needs 8 bytes, found 7"));
+        let (pixels, time) = frame(&filled(&[1; 8], false), &agreed).unwrap();
+        assert_eq!((pixels.data().len(), time), (8, CaptureTime::monotonic(1_000)));
+        assert!(frame(&filled(&[1; 8], true), &agreed).unwrap_err().contains("corrupt"));
+        assert!(frame(&filled(&[1; 7], false), &agreed).unwrap_err().contains("needs 8 bytes, found 7"));
         let jpeg = Agreed { format: PixelFormat::Jpeg, ..agreed };
-        assert!(frame(&filled(&[1; 7], false), &jpeg, 0).unwrap_err().contains("JPEG"));
+        assert!(frame(&filled(&[1; 7], false), &jpeg).unwrap_err().contains("JPEG"));
     }
 }

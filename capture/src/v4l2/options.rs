@@ -17,14 +17,12 @@ pub struct V4l2Options {
     pub size_px: Option<(u32, u32)>,
     /// Frames per second.
     pub rate_hz: Option<f64>,
-    /// Controls by the names that `v4l2-ctl --list-ctrls` prints, set in alphabetical order and read back.
+    /// Controls by the names that `v4l2-ctl --list-ctrls` prints, set and read back.
     pub controls: BTreeMap<String, i64>,
     /// Accept what the driver puts in place of a format, size or rate that it does not offer.
     pub accept_substitutes: bool,
     /// Buffers in the driver's queue.
     pub buffers: u32,
-    /// Added to the driver's time stamps, so that they mean the middle of the exposure.
-    pub time_offset_ns: i64,
     /// No frame for so long means that the stream has stalled and is opened anew.
     pub stall_timeout: Duration,
     /// Intrinsics at the size that is captured.
@@ -42,7 +40,6 @@ impl V4l2Options {
             controls: BTreeMap::new(),
             accept_substitutes: false,
             buffers: 4,
-            time_offset_ns: 0,
             stall_timeout: Duration::from_secs(2),
             camera: None,
         }

@@ -76,8 +76,13 @@ impl Stream {
     /// Waits at most `timeout` for a filled buffer, lets `read` look at it and gives it back to the driver.
     ///
     /// `Ok(None)` means that no frame came in time; the stream goes on.
-    pub fn next<R>(&mut self, timeout: Duration, read: impl FnOnce(Filled<'_>) -> R) -> io::Result<Option<R>> {
-        let timeout_ms = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
+    pub fn next<R>(
+        &mut self,
+        timeout: Duration,
+        read: impl FnOnce(Filled<'_>) -> R,
+    ) -> io::Result<Option<R>> {
+        // Rounded up: what is left of a millisecond must not become a poll that does not wait.
+        let timeout_ms = i32::try_from(timeout.as_micros().div_ceil(1000)).unwrap_or(i32::MAX);
         match self.handle.poll(POLLIN, timeout_ms) {
             Ok(0) => return Ok(None),
             Ok(_) => {}
@@ -117,7 +122,11 @@ impl Stream {
         request.memory = MEMORY_MMAP;
         // SAFETY: VIDIOC_REQBUFS reads and writes one v4l2_requestbuffers.
         unsafe { self.ioctl(v4l2::vidioc::VIDIOC_REQBUFS, &mut request)? };
-        if request.count == 0 { Err(io::Error::other("the driver granted no buffer")) } else { Ok(request.count) }
+        if request.count == 0 {
+            Err(io::Error::other("the driver granted no buffer"))
+        } else {
+            Ok(request.count)
+        }
     }
 
     fn map(&self, index: u32) -> io::Result<Mapping> {
@@ -129,7 +138,14 @@ impl Stream {
         let offset = unsafe { buffer.m.offset };
         // SAFETY: a fresh shared mapping at an address of the kernel's choice, of the length that the driver stated.
         let start = unsafe {
-            v4l2::mmap(ptr::null_mut(), length_bytes, READ_WRITE, MAP_SHARED, self.handle.fd(), offset.into())?
+            v4l2::mmap(
+                ptr::null_mut(),
+                length_bytes,
+                READ_WRITE,
+                MAP_SHARED,
+                self.handle.fd(),
+                offset.into(),
+            )?
         };
         Ok(Mapping { start, length_bytes })
     }
@@ -169,6 +185,21 @@ fn empty_buffer() -> v4l2_buffer {
     buffer
 }
 
+/// Microseconds are what `v4l2_buffer` has.
 fn nanoseconds(seconds: i64, microseconds: i64) -> u64 {
-    u64::try_from(seconds).unwrap_or(0) * 1_000_000_000 + u64::try_from(microseconds).unwrap_or(0) * 1_000
+    let (seconds, microseconds) =
+        (u64::try_from(seconds).unwrap_or(0), u64::try_from(microseconds).unwrap_or(0));
+    seconds.saturating_mul(1_000_000_000).saturating_add(microseconds.saturating_mul(1_000))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::nanoseconds;
+
+    #[test]
+    fn absurd_stamps_do_not_overflow() {
+        assert_eq!(nanoseconds(2, 7), 2_000_007_000);
+        assert_eq!(nanoseconds(-1, -1), 0);
+        assert_eq!(nanoseconds(i64::MAX, 0), u64::MAX);
+    }
 }

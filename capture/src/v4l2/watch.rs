@@ -57,7 +57,8 @@ impl NodeWatch {
             std::thread::sleep(timeout);
             return;
         };
-        let timeout = Timespec { tv_sec: timeout.as_secs().cast_signed(), tv_nsec: i64::from(timeout.subsec_nanos()) };
+        let timeout =
+            Timespec { tv_sec: timeout.as_secs().cast_signed(), tv_nsec: i64::from(timeout.subsec_nanos()) };
         if matches!(poll(&mut [PollFd::new(fd, PollFlags::IN)], Some(&timeout)), Ok(n) if n > 0) {
             // The events themselves do not matter: the node is looked at afterwards.
             let mut drain = [0; 4096];
