@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use grnet_train::synth;
+use grnet_train::{evaluate, init, score, synth};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -16,6 +16,10 @@ pub struct Cli {
 enum Command {
     /// Render a recording of a synthetic room in the 7-Scenes layout.
     Synth(synth::command::SynthArgs),
+    /// Write a checkpoint with drawn weights.
+    Init(init::InitArgs),
+    Score(score::ScoreArgs),
+    Evaluate(evaluate::command::EvaluateArgs),
 }
 
 impl Cli {
@@ -23,6 +27,9 @@ impl Cli {
     pub fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Synth(args) => synth::command::run(&args),
+            Command::Init(args) => init::run(&args),
+            Command::Score(args) => score::run(&args),
+            Command::Evaluate(args) => evaluate::command::run(&args),
         }
     }
 }

@@ -2,4 +2,9 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+pub mod baselines;
+pub mod evaluate;
+pub mod init;
+pub mod score;
+pub mod report;
 pub mod synth;

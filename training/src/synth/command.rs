@@ -91,7 +91,10 @@ pub enum FormatName {
 pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
     let recipe = args.recipe()?;
     let threads = args.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the worker threads")?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .context("cannot start the worker threads")?;
     let total = u64::from(recipe.sequences) * u64::from(recipe.frames);
     let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames  {per_sec}  {eta} left")?;
     // Draws on a terminal only.
@@ -123,7 +126,9 @@ impl SynthArgs {
         let format = match (self.format, self.quality) {
             (FormatName::Png, None) => ImageFormat::Png,
             (FormatName::Jpg, quality) => ImageFormat::Jpg(quality.unwrap_or(92)),
-            (FormatName::Png, Some(_)) => anyhow::bail!("--quality is for JPEG: PNG is lossless; drop it or use --format jpg"),
+            (FormatName::Png, Some(_)) => {
+                anyhow::bail!("--quality is for JPEG: PNG is lossless; drop it or use --format jpg")
+            }
         };
         let (width, height) = self.size;
         let focal = self.focal.unwrap_or(525.0 / 640.0 * f64::from(width));
@@ -140,7 +145,11 @@ impl SynthArgs {
             format,
             depth: self.depth,
             edge_samples: usize::from(self.samples),
-            sensor: if self.clean { SensorOptions::clean() } else { SensorOptions { noise: self.noise, ..Default::default() } },
+            sensor: if self.clean {
+                SensorOptions::clean()
+            } else {
+                SensorOptions { noise: self.noise, ..Default::default() }
+            },
             shutter: Shutter { exposure_ms: self.exposure_ms, readout_ms: self.readout_ms },
         })
     }

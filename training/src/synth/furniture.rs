@@ -40,12 +40,17 @@ impl Part {
 
 /// A saturated colour at random.
 pub fn vivid(rng: &mut ChaCha8Rng) -> Vec3 {
-    hsv(rng.random(), rng.random_range(0.45..0.85), rng.random_range(0.45..0.9))
+    hsv(rng.random(), rng.random_range(0.35..0.75), rng.random_range(0.4..0.85))
 }
 
 /// A muted wall or cloth colour at random.
 pub fn muted(rng: &mut ChaCha8Rng) -> Vec3 {
     hsv(rng.random(), rng.random_range(0.1..0.38), rng.random_range(0.7..0.92))
+}
+
+/// A wall paint at random: of a clear hue, but not glaring.
+pub fn paint(rng: &mut ChaCha8Rng) -> Vec3 {
+    hsv(rng.random(), rng.random_range(0.3..0.5), rng.random_range(0.6..0.8))
 }
 
 /// A wood colour at random, from walnut to beech.
@@ -58,7 +63,8 @@ pub fn desk(rng: &mut ChaCha8Rng, w: f32) -> Vec<Part> {
     let wood = Finish::Wood { colour: timber(rng) };
     let (h, back, front) = (0.74, -0.03, -0.73);
     let mut parts = vec![
-        part([-w / 2.0, w / 2.0], [front, back], [h - 0.03, h], wood).top(Finish::DeskTop { colour: timber(rng) }),
+        part([-w / 2.0, w / 2.0], [front, back], [h - 0.03, h], wood)
+            .top(Finish::DeskTop { colour: timber(rng) }),
     ];
     for x in [-w / 2.0 + 0.02, w / 2.0 - 0.07] {
         for y in [front + 0.02, back - 0.07] {
@@ -68,18 +74,28 @@ pub fn desk(rng: &mut ChaCha8Rng, w: f32) -> Vec<Part> {
     let side = if rng.random() { 1.0 } else { -1.0 };
     let x = side * (w / 2.0 - 0.32);
     let lacquer = Finish::Lacquer { colour: vivid(rng) };
-    parts.push(part([x - 0.2, x + 0.2], [front + 0.05, back - 0.1], [0.02, 0.6], lacquer).front(Finish::Drawers { colour: vivid(rng), drawers: 3 }));
+    parts.push(
+        part([x - 0.2, x + 0.2], [front + 0.05, back - 0.1], [0.02, 0.6], lacquer)
+            .front(Finish::Drawers { colour: vivid(rng), drawers: 3 }),
+    );
     let m = -side * rng.random_range(0.0..0.25);
     let plastic = Finish::Lacquer { colour: [0.04; 3] };
     parts.push(part([m - 0.03, m + 0.03], [-0.27, -0.23], [h, h + 0.15], plastic));
     parts.push(part([m - 0.12, m + 0.12], [-0.33, -0.17], [h, h + 0.015], plastic));
-    parts.push(part([m - 0.28, m + 0.28], [-0.29, -0.26], [h + 0.11, h + 0.46], plastic).front(Finish::Screen));
+    parts.push(
+        part([m - 0.28, m + 0.28], [-0.29, -0.26], [h + 0.11, h + 0.46], plastic).front(Finish::Screen),
+    );
     parts.push(part([m - 0.22, m + 0.22], [-0.6, -0.46], [h, h + 0.025], plastic).top(Finish::Keyboard));
     let x = side * (w / 2.0 - 0.2);
     let z = h + rng.random_range(0.12..0.3);
     parts.push(part([x - 0.13, x + 0.13], [-0.35, -0.12], [h, z], Finish::Carton));
     let mug = -side * (w / 2.0 - 0.12);
-    parts.push(part([mug - 0.04, mug + 0.04], [-0.5, -0.42], [h, h + 0.1], Finish::Lacquer { colour: vivid(rng) }));
+    parts.push(part(
+        [mug - 0.04, mug + 0.04],
+        [-0.5, -0.42],
+        [h, h + 0.1],
+        Finish::Lacquer { colour: vivid(rng) },
+    ));
     parts
 }
 
@@ -120,11 +136,21 @@ pub fn bookshelf(rng: &mut ChaCha8Rng, w: f32, h: f32) -> Vec<Part> {
             let end = (x + rng.random_range(0.15..0.6)).min(w / 2.0 - 0.03);
             let depth = rng.random_range(0.16..0.27);
             if rng.random_bool(0.75) {
-                let books = part([x, end], [back - 0.02 - depth, back - 0.02], [z, z + rng.random_range(0.22..0.3)], Finish::Lacquer { colour: [0.5, 0.47, 0.4] });
+                let books = part(
+                    [x, end],
+                    [back - 0.02 - depth, back - 0.02],
+                    [z, z + rng.random_range(0.22..0.3)],
+                    Finish::Lacquer { colour: [0.5, 0.47, 0.4] },
+                );
                 parts.push(books.front(Finish::Books));
             } else if rng.random_bool(0.6) {
                 let end = end.min(x + 0.3);
-                parts.push(part([x, end], [back - 0.02 - depth, back - 0.03], [z, z + rng.random_range(0.1..0.24)], Finish::Lacquer { colour: vivid(rng) }));
+                parts.push(part(
+                    [x, end],
+                    [back - 0.02 - depth, back - 0.03],
+                    [z, z + rng.random_range(0.1..0.24)],
+                    Finish::Lacquer { colour: vivid(rng) },
+                ));
             }
             x = end + rng.random_range(0.005..0.06);
         }
@@ -137,8 +163,14 @@ pub fn cabinet(rng: &mut ChaCha8Rng, w: f32, h: f32) -> Vec<Part> {
     let colour = if rng.random() { timber(rng) } else { muted(rng) };
     let doors = if w > 0.9 { 3 } else { 2 };
     let mut parts = vec![
-        part([-w / 2.0, w / 2.0], [-0.48, -0.01], [0.04, h], Finish::Wood { colour }).front(Finish::Doors { colour, doors }),
-        part([-w / 2.0 + 0.03, w / 2.0 - 0.03], [-0.44, -0.04], [0.0, 0.04], Finish::Lacquer { colour: [0.05; 3] }),
+        part([-w / 2.0, w / 2.0], [-0.48, -0.01], [0.04, h], Finish::Wood { colour })
+            .front(Finish::Doors { colour, doors }),
+        part(
+            [-w / 2.0 + 0.03, w / 2.0 - 0.03],
+            [-0.44, -0.04],
+            [0.0, 0.04],
+            Finish::Lacquer { colour: [0.05; 3] },
+        ),
     ];
     clutter(rng, &mut parts, w, h, 0.4);
     parts
@@ -150,7 +182,10 @@ pub fn sideboard(rng: &mut ChaCha8Rng, w: f32) -> Vec<Part> {
     let half = w / 2.0;
     let mut parts = Vec::new();
     for x in [[-half, -0.005], [0.005, half]] {
-        parts.push(part(x, [-0.45, -0.02], [0.12, 0.78], Finish::Wood { colour }).front(Finish::Drawers { colour, drawers: 3 }));
+        parts.push(
+            part(x, [-0.45, -0.02], [0.12, 0.78], Finish::Wood { colour })
+                .front(Finish::Drawers { colour, drawers: 3 }),
+        );
     }
     for x in [-half + 0.02, half - 0.07] {
         parts.push(part([x, x + 0.05], [-0.43, -0.38], [0.0, 0.12], Finish::Wood { colour }));
@@ -197,7 +232,10 @@ pub fn coffee_table(rng: &mut ChaCha8Rng) -> Vec<Part> {
         parts.push(part([x, x + 0.06], [y, y + 0.06], [0.0, 0.39], wood));
     }
     parts.push(part([-0.48, 0.48], [-0.26, 0.26], [0.14, 0.16], wood));
-    parts.push(part([0.1, 0.34], [-0.2, -0.03], [0.43, 0.49], Finish::Lacquer { colour: vivid(rng) }).front(Finish::Books));
+    parts.push(
+        part([0.1, 0.34], [-0.2, -0.03], [0.43, 0.49], Finish::Lacquer { colour: vivid(rng) })
+            .front(Finish::Books),
+    );
     parts.push(part([-0.35, -0.2], [0.02, 0.17], [0.43, 0.52], Finish::Lacquer { colour: vivid(rng) }));
     parts
 }
@@ -207,9 +245,11 @@ pub fn cartons(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let mut parts = Vec::new();
     let mut z = 0.0;
     for _ in 0..rng.random_range(2..4) {
-        let (w, d, h) = (rng.random_range(0.2..0.3), rng.random_range(0.17..0.24), rng.random_range(0.2..0.42));
+        let (w, d, h) =
+            (rng.random_range(0.2..0.3), rng.random_range(0.17..0.24), rng.random_range(0.2..0.42));
         let shift = rng.random_range(-0.06..0.06);
-        let finish = if rng.random_bool(0.6) { Finish::Carton } else { Finish::Lacquer { colour: vivid(rng) } };
+        let finish =
+            if rng.random_bool(0.6) { Finish::Carton } else { Finish::Lacquer { colour: vivid(rng) } };
         parts.push(part([shift - w, shift + w], [-0.35 - d, -0.35 + d], [z, z + h], finish));
         z += h;
     }
@@ -228,15 +268,22 @@ pub fn floor_lamp(light: Vec3) -> Vec<Part> {
 
 /// A plant: a pot and a crown of leafy boxes.
 pub fn plant(rng: &mut ChaCha8Rng) -> Vec<Part> {
-    let mut parts = vec![part([-0.15, 0.15], [-0.45, -0.15], [0.0, 0.32], Finish::Lacquer { colour: vivid(rng) })];
+    let mut parts =
+        vec![part([-0.15, 0.15], [-0.45, -0.15], [0.0, 0.32], Finish::Lacquer { colour: vivid(rng) })];
     for _ in 0..9 {
-        let (x, y, z) = (rng.random_range(-0.2..0.2), rng.random_range(-0.5..-0.15), rng.random_range(0.36..1.15));
+        let (x, y, z) =
+            (rng.random_range(-0.2..0.2), rng.random_range(-0.5..-0.15), rng.random_range(0.36..1.15));
         let (w, h) = (rng.random_range(0.05..0.14), rng.random_range(0.04..0.14));
         let green = hsv(rng.random_range(0.22..0.38), 0.6, rng.random_range(0.3..0.75));
         let leaf = Finish::Cloth { colour: green, accent: hsv(0.3, 0.7, 0.3) };
         parts.push(part([x - w, x + w], [y - 0.05, y + 0.05], [z, z + h], leaf));
     }
-    parts.push(part([-0.015, 0.015], [-0.32, -0.29], [0.32, 1.2], Finish::Wood { colour: [0.2, 0.14, 0.08] }));
+    parts.push(part(
+        [-0.015, 0.015],
+        [-0.32, -0.29],
+        [0.32, 1.2],
+        Finish::Wood { colour: [0.2, 0.14, 0.08] },
+    ));
     parts
 }
 

@@ -137,10 +137,7 @@ impl Rect {
 
     /// Change of (u, v) for a step `d` within the plane.
     pub fn uv_step(&self, d: Vec3) -> [f32; 2] {
-        [
-            d[self.axes[1]] * self.signs[1] / self.length[0],
-            d[self.axes[2]] * self.signs[2] / self.length[1],
-        ]
+        [d[self.axes[1]] * self.signs[1] / self.length[0], d[self.axes[2]] * self.signs[2] / self.length[1]]
     }
 }
 
@@ -172,7 +169,10 @@ impl Group {
 impl Geometry {
     /// An empty room.
     pub fn new(size: Vec3) -> Self {
-        let shape = Cuboid { min: [-size[0] / 2.0, -size[1] / 2.0, 0.0], max: [size[0] / 2.0, size[1] / 2.0, size[2]] };
+        let shape = Cuboid {
+            min: [-size[0] / 2.0, -size[1] / 2.0, 0.0],
+            max: [size[0] / 2.0, size[1] / 2.0, size[2]],
+        };
         let rects = (0..FACES).map(|side| Rect::of_room(&shape, side)).collect();
         Self { size, groups: Vec::new(), boxes: Vec::new(), rects }
     }
@@ -244,7 +244,9 @@ impl Geometry {
         let direction = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
         self.groups.iter().any(|group| {
             let (o, inverse) = (group.point_in(from), group.turned_in(direction).map(|x| 1.0 / x));
-            let meets = |shape: &Cuboid| slab(shape, o, inverse).is_some_and(|(near, far, _)| far > 1e-4 && near < 0.9999);
+            let meets = |shape: &Cuboid| {
+                slab(shape, o, inverse).is_some_and(|(near, far, _)| far > 1e-4 && near < 0.9999)
+            };
             meets(&group.bound) && self.boxes[group.first..group.last].iter().any(meets)
         })
     }
@@ -317,7 +319,12 @@ mod tests {
 
     fn room() -> Geometry {
         let mut room = Geometry::new([6.0, 4.0, 2.5]);
-        room.add("cube", [1.0, 0.5, 0.0], [0.6, 0.8], &[Cuboid { min: [-0.5, -0.5, 0.0], max: [0.5, 0.5, 1.0] }]);
+        room.add(
+            "cube",
+            [1.0, 0.5, 0.0],
+            [0.6, 0.8],
+            &[Cuboid { min: [-0.5, -0.5, 0.0], max: [0.5, 0.5, 1.0] }],
+        );
         room
     }
 
@@ -367,6 +374,9 @@ mod tests {
         assert!((room.clearance_m([1.0, 0.5, 1.25]) - 0.25).abs() < 1e-6);
         assert!((room.clearance_m([1.0, 0.5, 0.9]) + 0.1).abs() < 1e-6);
         assert!((room.clearance_m([-2.9, 0.0, 1.2]) - 0.1).abs() < 1e-6);
-        assert!(room.blocked([1.0, -1.8, 0.5], [1.0, 1.9, 0.5]) && !room.blocked([-1.0, -1.0, 0.5], [-2.0, 1.0, 0.5]));
+        assert!(
+            room.blocked([1.0, -1.8, 0.5], [1.0, 1.9, 0.5])
+                && !room.blocked([-1.0, -1.0, 0.5], [-2.0, 1.0, 0.5])
+        );
     }
 }

@@ -84,7 +84,11 @@ pub fn light_maps(room: &Layout) -> Vec<LightMap> {
     let faces = geometry.rects.len();
     let direct: Vec<LightMap> = (0..faces)
         .into_par_iter()
-        .map(|face| grid(geometry, face, |p, n| room.lights.iter().fold([0.0; 3], |sum, l| along(sum, l.onto(geometry, p, n), 1.0))))
+        .map(|face| {
+            grid(geometry, face, |p, n| {
+                room.lights.iter().fold([0.0; 3], |sum, l| along(sum, l.onto(geometry, p, n), 1.0))
+            })
+        })
         .collect();
     let albedo: Vec<Vec3> = (0..faces).map(|face| mean_albedo(room, face)).collect();
     let mean = mean_light(geometry, &direct);

@@ -65,7 +65,10 @@ impl Manifest {
         let pictures = scene
             .landmarks()
             .chunks(4)
-            .map(|c| Corners { face: c[0].face, corners_in_world_m: c.iter().map(|l| l.point_in_world).collect() })
+            .map(|c| Corners {
+                face: c[0].face,
+                corners_in_world_m: c.iter().map(|l| l.point_in_world).collect(),
+            })
             .collect();
         Self {
             generator: GENERATOR,

@@ -93,14 +93,20 @@ impl Finish {
             }
             Self::Wallpaper { colour, accent, pattern } => {
                 let share = match pattern % 3 {
-                    0 => 0.75 * smoothstep(0.13, 0.16, to_grid(x / 0.31)) + 0.25 * smoothstep(0.3, 0.34, to_grid(x / 0.045)),
+                    0 => {
+                        0.75 * smoothstep(0.13, 0.16, to_grid(x / 0.31))
+                            + 0.25 * smoothstep(0.3, 0.34, to_grid(x / 0.045))
+                    }
                     1 => {
                         let d = (to_grid((x + y) / 0.34)).min(to_grid((x - y) / 0.34));
                         1.0 - smoothstep(0.025, 0.05, d)
                     }
                     _ => {
                         let (i, j) = ((x / 0.16).floor(), (y / 0.16).floor());
-                        let (dx, dy) = (x / 0.16 - i - 0.3 - 0.4 * cell(i, j, seed), y / 0.16 - j - 0.3 - 0.4 * cell(j, i, seed ^ 7));
+                        let (dx, dy) = (
+                            x / 0.16 - i - 0.3 - 0.4 * cell(i, j, seed),
+                            y / 0.16 - j - 0.3 - 0.4 * cell(j, i, seed ^ 7),
+                        );
                         let radius = 0.12 + 0.2 * cell(i, j, seed ^ 3);
                         1.0 - smoothstep(radius - 0.04, radius, (dx * dx + dy * dy).sqrt())
                     }
@@ -112,7 +118,8 @@ impl Finish {
             Self::Tiles { colour, accent } => {
                 let (i, j) = ((x / 0.4).floor(), (y / 0.4).floor());
                 let chosen = if cell(i, j, seed) > 0.55 { accent } else { colour };
-                let veins = (fbm(x * 5.0, y * 5.0, hash(i as i32 as u32, j as i32 as u32, seed), 5) - 0.5).abs();
+                let veins =
+                    (fbm(x * 5.0, y * 5.0, hash(i as i32 as u32, j as i32 as u32, seed), 5) - 0.5).abs();
                 let body = scaled(chosen, 0.7 + 0.25 * cell(i, j, seed ^ 9) + 1.2 * veins);
                 let joint = to_grid(x / 0.4).min(to_grid(y / 0.4));
                 mix([0.12, 0.11, 0.1], body, smoothstep(0.006, 0.012, joint))
@@ -121,7 +128,11 @@ impl Finish {
                 let speckle = noise(x * 70.0, y * 70.0, seed) * noise(x * 31.0, y * 31.0, seed ^ 5);
                 let panel = 0.72 + 0.07 * cell((x / 0.6).floor(), (y / 0.6).floor(), seed);
                 let stain = 0.22 * smoothstep(0.62, 0.8, fbm(x * 1.3, y * 1.3, seed ^ 11, 3));
-                let body = [panel - 0.6 * speckle * speckle - stain, panel - 0.6 * speckle * speckle - 1.15 * stain, panel - 0.62 * speckle * speckle - 1.5 * stain];
+                let body = [
+                    panel - 0.6 * speckle * speckle - stain,
+                    panel - 0.6 * speckle * speckle - 1.15 * stain,
+                    panel - 0.62 * speckle * speckle - 1.5 * stain,
+                ];
                 mix([0.4; 3], body, smoothstep(0.012, 0.022, to_grid(x / 0.6).min(to_grid(y / 0.6))))
             }
             Self::Wood { colour } => {
@@ -148,15 +159,21 @@ impl Finish {
                 if dx.abs() < 0.06 && dy.abs() < 0.01 {
                     [0.08; 3]
                 } else if (dx + width * 0.28).abs() < 0.035 && (dy + 0.01).abs() < 0.022 {
-                    let ink = picture::glyphs((dx + width * 0.28 + 0.03) / 0.011, (dy + 0.026) / 0.016, hash(seed, j as u32, 4));
+                    let ink = picture::glyphs(
+                        (dx + width * 0.28 + 0.03) / 0.011,
+                        (dy + 0.026) / 0.016,
+                        hash(seed, j as u32, 4),
+                    );
                     if ink { [0.05; 3] } else { [0.8, 0.78, 0.7] }
                 } else {
                     grooved(body, inside)
                 }
             }
             Self::Cloth { colour, accent } => {
-                let weave = 0.8 + 0.2 * noise(x * 260.0, y * 90.0, seed) + 0.2 * noise(x * 90.0, y * 260.0, seed ^ 1);
-                let check = 0.5 * smoothstep(0.3, 0.33, to_grid(x / 0.14 + 0.1)) + 0.5 * smoothstep(0.36, 0.39, to_grid(y / 0.17));
+                let weave =
+                    0.8 + 0.2 * noise(x * 260.0, y * 90.0, seed) + 0.2 * noise(x * 90.0, y * 260.0, seed ^ 1);
+                let check = 0.5 * smoothstep(0.3, 0.33, to_grid(x / 0.14 + 0.1))
+                    + 0.5 * smoothstep(0.36, 0.39, to_grid(y / 0.17));
                 let folds = 0.75 + 0.5 * fbm(x * 4.0, y * 4.0, seed ^ 2, 3);
                 edged(spot, scaled(mix(colour, accent, check), weave * folds))
             }
@@ -167,7 +184,10 @@ impl Finish {
                 let ribs = 0.95 + 0.05 * wave(x / 0.011);
                 let body = scaled([0.42, 0.27, 0.14], ribs * (0.8 + 0.4 * fbm(x * 9.0, y * 9.0, seed, 4)));
                 let tape = (y - height * 0.5).abs() < 0.025;
-                edged(spot, labelled(spot, if tape { mix(body, [0.6, 0.5, 0.33], 0.7) } else { body }, seed | 1))
+                edged(
+                    spot,
+                    labelled(spot, if tape { mix(body, [0.6, 0.5, 0.33], 0.7) } else { body }, seed | 1),
+                )
             }
             Self::Door { colour } => door(spot, colour, seed),
             Self::Keyboard => {
@@ -181,7 +201,9 @@ impl Finish {
                 [rib * (0.8 + 0.2 * top), rib * (0.8 + 0.2 * top), rib * (0.76 + 0.2 * top)]
             }
             Self::Framed(picture) => picture.at(spot, seed),
-            Self::Screen => return Surface { albedo: [0.03; 3], emission: scaled(picture::screen(spot, seed), 0.75) },
+            Self::Screen => {
+                return Surface { albedo: [0.03; 3], emission: scaled(picture::screen(spot, seed), 0.75) };
+            }
             Self::Window => return picture::window(spot, seed),
             Self::Lamp { light } => {
                 let rim = smoothstep(0.0, 0.03, x.min(y).min(width - x).min(height - y));
@@ -215,11 +237,16 @@ fn brick(spot: Spot, colour: Vec3, seed: u32) -> Vec3 {
     let (dx, dy) = (to_grid(x) * long, to_grid(spot.y / high) * high);
     let shade = 0.5 + 0.9 * cell(column, row, seed);
     let warm = cell(column, row, seed ^ 8) - 0.5;
-    let tint = [colour[0] * (1.0 + 0.25 * warm), colour[1] * (1.0 - 0.3 * warm), colour[2] * (1.0 - 0.3 * warm)];
+    let tint =
+        [colour[0] * (1.0 + 0.25 * warm), colour[1] * (1.0 - 0.3 * warm), colour[2] * (1.0 - 0.3 * warm)];
     let rough = 0.7 + 0.6 * fbm(spot.x * 40.0, spot.y * 40.0, seed ^ 6, 3);
     let wobble = 0.003 * noise(spot.x * 60.0, spot.y * 60.0, seed ^ 5);
     let mortar = [0.42 * rough, 0.4 * rough, 0.36 * rough];
-    skirted(spot, mix(mortar, scaled(tint, shade * rough), smoothstep(0.003, 0.008, dx.min(dy) + wobble)), seed)
+    skirted(
+        spot,
+        mix(mortar, scaled(tint, shade * rough), smoothstep(0.003, 0.008, dx.min(dy) + wobble)),
+        seed,
+    )
 }
 
 fn planks(x: f32, y: f32, colour: Vec3, seed: u32) -> Vec3 {
@@ -247,7 +274,8 @@ fn wood(a: f32, b: f32, colour: Vec3, seed: u32) -> Vec3 {
 
 fn lacquer(x: f32, y: f32, colour: Vec3, seed: u32) -> Vec3 {
     let cloud = fbm(x * 3.5, y * 3.5, seed, 4);
-    let scratch = smoothstep(0.46, 0.5, to_grid(x * 3.0 + 2.0 * noise(x * 2.0, y * 2.0, seed ^ 1))) * smoothstep(0.7, 0.8, noise(x * 8.0, y * 8.0, seed ^ 2));
+    let scratch = smoothstep(0.46, 0.5, to_grid(x * 3.0 + 2.0 * noise(x * 2.0, y * 2.0, seed ^ 1)))
+        * smoothstep(0.7, 0.8, noise(x * 8.0, y * 8.0, seed ^ 2));
     scaled(colour, 0.78 + 0.4 * cloud + 0.25 * scratch + 0.08 * noise(x * 120.0, y * 120.0, seed ^ 3))
 }
 
@@ -264,7 +292,13 @@ fn labelled(spot: Spot, body: Vec3, seed: u32) -> Vec3 {
     }
     let band = y < h * 0.3;
     let ink = !band && picture::glyphs(x / 0.014, y / 0.022, seed);
-    if band { hsv(unit(hash(seed, 3, 1)), 0.8, 0.8) } else if ink { [0.05; 3] } else { [0.78, 0.77, 0.72] }
+    if band {
+        hsv(unit(hash(seed, 3, 1)), 0.8, 0.8)
+    } else if ink {
+        [0.05; 3]
+    } else {
+        [0.78, 0.77, 0.72]
+    }
 }
 
 /// Worn, lighter edges: gives boxes an outline as real bevels do.
@@ -274,7 +308,10 @@ fn edged(spot: Spot, body: Vec3) -> Vec3 {
 }
 
 fn grooved(body: Vec3, inside: f32) -> Vec3 {
-    scaled(body, 0.25 + 0.75 * smoothstep(0.003, 0.009, inside) + 0.15 * (1.0 - smoothstep(0.01, 0.02, inside)))
+    scaled(
+        body,
+        0.25 + 0.75 * smoothstep(0.003, 0.009, inside) + 0.15 * (1.0 - smoothstep(0.01, 0.02, inside)),
+    )
 }
 
 fn rug(spot: Spot, colour: Vec3, accent: Vec3, seed: u32) -> Vec3 {
@@ -285,8 +322,18 @@ fn rug(spot: Spot, colour: Vec3, accent: Vec3, seed: u32) -> Vec3 {
     let motif = hsv(cell(i, j, seed ^ 3), 0.65, 0.35 + 0.5 * cell(i, j, seed ^ 4));
     let field = if shape < 0.2 + 0.3 * cell(i, j, seed ^ 2) { motif } else { colour };
     let band = |lo: f32, hi: f32| edge > lo && edge < hi;
-    let c = if band(0.04, 0.1) || band(0.13, 0.15) { accent } else if edge < 0.15 { scaled(colour, 0.6) } else { field };
-    scaled(c, 0.65 + 0.45 * noise(spot.x * 120.0, spot.y * 120.0, seed) + 0.3 * (fbm(spot.x * 3.0, spot.y * 3.0, seed ^ 6, 3) - 0.4))
+    let c = if band(0.04, 0.1) || band(0.13, 0.15) {
+        accent
+    } else if edge < 0.15 {
+        scaled(colour, 0.6)
+    } else {
+        field
+    };
+    scaled(
+        c,
+        0.65 + 0.45 * noise(spot.x * 120.0, spot.y * 120.0, seed)
+            + 0.3 * (fbm(spot.x * 3.0, spot.y * 3.0, seed ^ 6, 3) - 0.4),
+    )
 }
 
 fn door(spot: Spot, colour: Vec3, seed: u32) -> Vec3 {

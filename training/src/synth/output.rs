@@ -94,9 +94,12 @@ pub fn write_frame(
     let colour = file(&format!("color.{}", recipe.extension()));
     let mut bytes = Vec::new();
     match recipe.format {
-        ImageFormat::Jpg(quality) => {
-            JpegEncoder::new_with_quality(&mut bytes, quality).encode(rgb, width, height, ExtendedColorType::Rgb8)
-        }
+        ImageFormat::Jpg(quality) => JpegEncoder::new_with_quality(&mut bytes, quality).encode(
+            rgb,
+            width,
+            height,
+            ExtendedColorType::Rgb8,
+        ),
         ImageFormat::Png => png(&mut bytes, rgb, width, height, ExtendedColorType::Rgb8),
     }
     .map_err(|source| SynthError::Encode { path: colour.clone(), source })?;
@@ -115,8 +118,15 @@ pub fn write_frame(
     put(&file("pose.txt"), matrix(&rows).as_bytes())
 }
 
-fn png(to: &mut Vec<u8>, data: &[u8], width: u32, height: u32, kind: ExtendedColorType) -> Result<(), ImageError> {
-    PngEncoder::new_with_quality(to, CompressionType::Fast, FilterType::Sub).write_image(data, width, height, kind)
+fn png(
+    to: &mut Vec<u8>,
+    data: &[u8],
+    width: u32,
+    height: u32,
+    kind: ExtendedColorType,
+) -> Result<(), ImageError> {
+    PngEncoder::new_with_quality(to, CompressionType::Fast, FilterType::Sub)
+        .write_image(data, width, height, kind)
 }
 
 /// Rows of numbers with 17 digits after the first: every f64 comes back exactly.
@@ -170,7 +180,8 @@ fn check_replaceable(folder: &Path) -> Result<(), SynthError> {
 
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, SynthError> {
     let list = fs::read_dir(folder).map_err(io("list", folder))?;
-    let mut paths = list.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(io("list", folder))?;
+    let mut paths =
+        list.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(io("list", folder))?;
     paths.sort();
     Ok(paths)
 }

@@ -40,7 +40,10 @@ impl Picture {
         let edge = x.min(y).min(width - x).min(height - y);
         if edge < 0.022 {
             let frame = hsv(unit(hash(seed, 77, 0)), 0.35, 0.15 + 0.6 * unit(hash(seed, 78, 0)));
-            return scaled(frame, 0.6 + 0.6 * smoothstep(0.0, 0.012, edge) + 0.2 * noise(x * 90.0, y * 90.0, seed));
+            return scaled(
+                frame,
+                0.6 + 0.6 * smoothstep(0.0, 0.012, edge) + 0.2 * noise(x * 90.0, y * 90.0, seed),
+            );
         }
         let mount = if unit(hash(seed, 79, 0)) > 0.5 { 0.05 } else { 0.022 };
         if edge < mount {
@@ -77,8 +80,12 @@ pub fn glyphs(column: f32, line: f32, seed: u32) -> bool {
     let stems = [gx == 0, gx == 4, gx == 2];
     let bars = [gy == 1, gy == 4, gy == 7];
     let bit = |k: u32| (letter >> k) & 1 == 1;
-    (stems[0] && bit(3)) || (stems[1] && bit(4)) || (stems[2] && bit(5) && bit(6))
-        || (bars[0] && bit(7)) || (bars[1] && bit(8)) || (bars[2] && bit(9))
+    (stems[0] && bit(3))
+        || (stems[1] && bit(4))
+        || (stems[2] && bit(5) && bit(6))
+        || (bars[0] && bit(7))
+        || (bars[1] && bit(8))
+        || (bars[2] && bit(9))
         || (gx == gy.saturating_sub(2) && bit(10) && bit(11))
 }
 
@@ -93,7 +100,8 @@ pub fn books(spot: Spot, seed: u32) -> Vec3 {
         return [0.025, 0.02, 0.018];
     }
     let across = slot - i;
-    let colour = hsv(unit(hash(id, 4, 0)), 0.25 + 0.7 * unit(hash(id, 5, 0)), 0.2 + 0.7 * unit(hash(id, 6, 0)));
+    let colour =
+        hsv(unit(hash(id, 4, 0)), 0.25 + 0.7 * unit(hash(id, 5, 0)), 0.2 + 0.7 * unit(hash(id, 6, 0)));
     let round = 0.45 + 0.55 * smoothstep(0.0, 0.25, across.min(1.0 - across));
     let down = spot.y - top;
     let band = to_grid(down / (0.05 + 0.08 * unit(hash(id, 7, 0)))) < 0.06;
@@ -108,7 +116,10 @@ pub fn papers(spot: Spot, table: Vec3, seed: u32) -> Vec3 {
     let count = 3 + (spot.width * spot.height * 7.0) as u32;
     for k in 0..count {
         let id = hash(seed, k, 91);
-        let (cx, cy) = (spot.width * (0.08 + 0.84 * unit(hash(id, 1, 0))), spot.height * (0.1 + 0.8 * unit(hash(id, 2, 0))));
+        let (cx, cy) = (
+            spot.width * (0.08 + 0.84 * unit(hash(id, 1, 0))),
+            spot.height * (0.1 + 0.8 * unit(hash(id, 2, 0))),
+        );
         let sin = 0.7 * (unit(hash(id, 3, 0)) - 0.5);
         let cos = (1.0 - sin * sin).sqrt();
         let (dx, dy) = (spot.x - cx, spot.y - cy);
@@ -117,7 +128,11 @@ pub fn papers(spot: Spot, table: Vec3, seed: u32) -> Vec3 {
             let folder = unit(hash(id, 4, 0)) > 0.6;
             colour = if folder {
                 scaled(hsv(unit(hash(id, 5, 0)), 0.8, 0.75), 0.9 + 0.2 * noise(px * 60.0, py * 60.0, id))
-            } else if px > 0.02 && px < 0.19 && py > 0.03 && glyphs((px - 0.02) / 0.011, (py - 0.03) / 0.017, id) {
+            } else if px > 0.02
+                && px < 0.19
+                && py > 0.03
+                && glyphs((px - 0.02) / 0.011, (py - 0.03) / 0.017, id)
+            {
                 [0.12; 3]
             } else {
                 [0.8, 0.8, 0.78]
@@ -216,7 +231,11 @@ fn shapes(s: Spot, seed: u32) -> Vec3 {
 fn text_sheet(s: Spot, seed: u32) -> Vec3 {
     let (u, v) = (s.x / s.width, s.y / s.height);
     let dark = unit(hash(seed, 0, 5)) > 0.6;
-    let (paper, ink) = if dark { (hsv(unit(hash(seed, 1, 5)), 0.7, 0.35), [0.85; 3]) } else { ([0.82, 0.81, 0.76], [0.04; 3]) };
+    let (paper, ink) = if dark {
+        (hsv(unit(hash(seed, 1, 5)), 0.7, 0.35), [0.85; 3])
+    } else {
+        ([0.82, 0.81, 0.76], [0.04; 3])
+    };
     let headline = hsv(unit(hash(seed, 2, 5)), 0.9, 0.7);
     if v < 0.2 {
         let written = glyphs((s.x - 0.03) / (s.width / 9.0), (v - 0.02) / 0.16, seed);
@@ -229,7 +248,9 @@ fn text_sheet(s: Spot, seed: u32) -> Vec3 {
         return if v > level { headline } else { scaled(headline, 0.25) };
     }
     let column = if u < 0.5 { s.x - 0.05 * s.width } else { s.x - 0.53 * s.width };
-    let written = column > 0.0 && column < s.width * 0.42 && glyphs(column / 0.013, (s.y - s.height * 0.23) / 0.021, seed ^ u32::from(u < 0.5));
+    let written = column > 0.0
+        && column < s.width * 0.42
+        && glyphs(column / 0.013, (s.y - s.height * 0.23) / 0.021, seed ^ u32::from(u < 0.5));
     if written { ink } else { paper }
 }
 
@@ -240,11 +261,21 @@ fn blocks(s: Spot, seed: u32) -> Vec3 {
         let cut = 0.25 + 0.5 * unit(hash(id, 1, depth));
         let lower = if (w > h) ^ (unit(hash(id, 3, depth)) > 0.85) {
             let lower = s.x - x0 < w * cut;
-            if lower { w *= cut } else { x0 += w * cut; w *= 1.0 - cut }
+            if lower {
+                w *= cut
+            } else {
+                x0 += w * cut;
+                w *= 1.0 - cut
+            }
             lower
         } else {
             let lower = s.y - y0 < h * cut;
-            if lower { h *= cut } else { y0 += h * cut; h *= 1.0 - cut }
+            if lower {
+                h *= cut
+            } else {
+                y0 += h * cut;
+                h *= 1.0 - cut
+            }
             lower
         };
         id = hash(id, u32::from(lower), depth);
@@ -253,7 +284,11 @@ fn blocks(s: Spot, seed: u32) -> Vec3 {
     if edge < 0.006 {
         return [0.03; 3];
     }
-    if unit(hash(id, 9, 9)) < 0.3 { [0.82, 0.82, 0.78] } else { hsv(unit(hash(id, 8, 9)), 0.85, 0.3 + 0.65 * unit(hash(id, 7, 9))) }
+    if unit(hash(id, 9, 9)) < 0.3 {
+        [0.82, 0.82, 0.78]
+    } else {
+        hsv(unit(hash(id, 8, 9)), 0.85, 0.3 + 0.65 * unit(hash(id, 7, 9)))
+    }
 }
 
 fn map(s: Spot, seed: u32) -> Vec3 {
@@ -266,7 +301,13 @@ fn map(s: Spot, seed: u32) -> Vec3 {
     } else {
         hsv(0.33 - 0.6 * (height - 0.45), 0.5, 0.55 + 0.6 * (height - 0.45))
     };
-    if grid { scaled(c, 0.5) } else if contour { scaled(c, 0.65) } else { c }
+    if grid {
+        scaled(c, 0.5)
+    } else if contour {
+        scaled(c, 0.65)
+    } else {
+        c
+    }
 }
 
 fn cells(s: Spot, seed: u32) -> Vec3 {

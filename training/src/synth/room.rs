@@ -4,7 +4,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::furniture::{self, Part, muted, part, timber, vivid};
+use super::furniture::{self, Part, muted, paint, part, timber, vivid};
 use super::geometry::{Cuboid, FACES, Geometry};
 use super::light::Light;
 use super::material::Finish;
@@ -69,8 +69,20 @@ pub fn furnish(seed: u64) -> Layout {
     ];
     walls.shuffle(&mut rng);
     let mut deck = vec![
-        Bay::Bookshelf, Bay::Desk, Bay::Cabinet, Bay::Sideboard, Bay::Plant, Bay::Cartons, Bay::Desk, Bay::Bookshelf,
-        Bay::Cabinet, Bay::Lamp, Bay::Sideboard, Bay::Bookshelf, Bay::Cartons, Bay::Plant,
+        Bay::Bookshelf,
+        Bay::Desk,
+        Bay::Cabinet,
+        Bay::Sideboard,
+        Bay::Plant,
+        Bay::Cartons,
+        Bay::Desk,
+        Bay::Bookshelf,
+        Bay::Cabinet,
+        Bay::Lamp,
+        Bay::Sideboard,
+        Bay::Bookshelf,
+        Bay::Cartons,
+        Bay::Plant,
     ];
     deck.shuffle(&mut rng);
     let first = [Bay::Window, Bay::Sofa, Bay::Window, Bay::Door];
@@ -93,8 +105,8 @@ fn room_finishes(rng: &mut ChaCha8Rng) -> Vec<Finish> {
     let mut walls = vec![
         Finish::Plaster { colour: muted(rng), skirting: true },
         Finish::Wallpaper { colour: muted(rng), accent: muted(rng), pattern: rng.random() },
-        Finish::Wallpaper { colour: muted(rng), accent: vivid(rng), pattern: rng.random() },
-        Finish::Plaster { colour: vivid(rng), skirting: true },
+        Finish::Wallpaper { colour: muted(rng), accent: paint(rng), pattern: rng.random() },
+        Finish::Plaster { colour: paint(rng), skirting: true },
         Finish::Brick { colour: [0.4, 0.17, 0.1] },
     ];
     walls.shuffle(rng);
@@ -102,7 +114,7 @@ fn room_finishes(rng: &mut ChaCha8Rng) -> Vec<Finish> {
     let floor = if rng.random_bool(0.6) {
         Finish::Planks { colour: timber(rng) }
     } else {
-        Finish::Tiles { colour: muted(rng), accent: vivid(rng) }
+        Finish::Tiles { colour: muted(rng), accent: paint(rng) }
     };
     walls.extend([floor, Finish::Ceiling]);
     walls
@@ -110,7 +122,14 @@ fn room_finishes(rng: &mut ChaCha8Rng) -> Vec<Finish> {
 
 impl Layout {
     /// Adds a group; its y axis points into the wall when `turn` is the wall's.
-    fn add(&mut self, rng: &mut ChaCha8Rng, name: &'static str, origin: Vec3, turn: [f32; 2], parts: &[Part]) -> usize {
+    fn add(
+        &mut self,
+        rng: &mut ChaCha8Rng,
+        name: &'static str,
+        origin: Vec3,
+        turn: [f32; 2],
+        parts: &[Part],
+    ) -> usize {
         let boxes: Vec<Cuboid> = parts.iter().map(|p| p.shape).collect();
         let first = self.geometry.rects.len();
         self.geometry.add(name, origin, turn, &boxes);
@@ -232,7 +251,8 @@ impl Layout {
             let z = bottom + (top - bottom - h) * rng.random_range(0.1..0.7);
             let kind = PICTURES[(self.landmarks.len() / 4 + rng.random_range(0..2)) % PICTURES.len()];
             let frame = Finish::Wood { colour: timber(rng) };
-            let picture = part([x - w / 2.0, x + w / 2.0], [-0.028, -0.002], [z, z + h], frame).front(Finish::Framed(kind));
+            let picture = part([x - w / 2.0, x + w / 2.0], [-0.028, -0.002], [z, z + h], frame)
+                .front(Finish::Framed(kind));
             let first = self.add(rng, "picture", wall.point(s, 0.0), wall.turn, &[picture]);
             let face = first + 2;
             for (u, v) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
@@ -262,12 +282,21 @@ impl Layout {
         self.lights.push(Light::around(hook, h - 0.4, 0.31, [0.9, 0.75, 0.55]));
         for side in [-1.0f32, 1.0] {
             let centre = [side * w * 0.3, d * rng.random_range(-0.25..0.25), 0.0];
-            let panel = part([-0.3, 0.3], [-0.3, 0.3], [h - 0.04, h - 0.001], Finish::Lamp { light: [3.0, 2.95, 2.8] });
+            let panel = part(
+                [-0.3, 0.3],
+                [-0.3, 0.3],
+                [h - 0.04, h - 0.001],
+                Finish::Lamp { light: [3.0, 2.95, 2.8] },
+            );
             self.add(rng, "ceiling light", centre, [1.0, 0.0], &[panel]);
             let points = [(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)];
             let points = points.map(|(x, y)| [centre[0] + x, centre[1] + y, h - 0.06]).to_vec();
             let power = 1.4 * rng.random_range(0.7..1.2);
-            self.lights.push(Light { points, normal: Some([0.0, 0.0, -1.0]), power: [power, power * 0.97, power * 0.9] });
+            self.lights.push(Light {
+                points,
+                normal: Some([0.0, 0.0, -1.0]),
+                power: [power, power * 0.97, power * 0.9],
+            });
         }
     }
 }

@@ -66,7 +66,8 @@ impl Scene {
             })
             .collect();
         let landmarks = room.landmarks.iter();
-        let landmarks = landmarks.map(|(p, face)| Landmark { point_in_world: p.map(f64::from), face: *face }).collect();
+        let landmarks =
+            landmarks.map(|(p, face)| Landmark { point_in_world: p.map(f64::from), face: *face }).collect();
         Self { geometry: room.geometry, textures, landmarks, options }
     }
 

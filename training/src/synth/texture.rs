@@ -24,7 +24,12 @@ struct Level {
 
 impl Texture {
     /// Bakes `width` x `height` texels, each the mean of `subsamples`^2 values of `light(u, v)`, u and v in 0..1.
-    pub fn bake(width: usize, height: usize, subsamples: usize, light: impl Fn(f32, f32) -> Vec3 + Sync) -> Self {
+    pub fn bake(
+        width: usize,
+        height: usize,
+        subsamples: usize,
+        light: impl Fn(f32, f32) -> Vec3 + Sync,
+    ) -> Self {
         let mut texels = vec![[0u16; 4]; width * height];
         let step = 1.0 / subsamples as f32;
         texels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
@@ -46,11 +51,6 @@ impl Texture {
             levels.push(next);
         }
         Self { levels }
-    }
-
-    /// Size of the finest level (width, height) in texels.
-    pub fn size(&self) -> (usize, usize) {
-        (self.levels[0].width, self.levels[0].height)
     }
 
     /// Mean light over a pixel's footprint around (`u`, `v`), both 0..1; `dx` and `dy` are the changes of (u, v)
@@ -170,7 +170,8 @@ mod tests {
     #[test]
     fn a_grazing_look_keeps_detail_across_its_short_side() {
         // Stripes along u: a footprint that is long in u and short in v must still resolve them.
-        let texture = Texture::bake(64, 64, 1, |_, v| if (v * 8.0) as i32 % 2 == 1 { [1.0; 3] } else { [0.0; 3] });
+        let texture =
+            Texture::bake(64, 64, 1, |_, v| if (v * 8.0) as i32 % 2 == 1 { [1.0; 3] } else { [0.0; 3] });
         let (long, short) = ([4.0 / 64.0, 0.0], [0.0, 1.0 / 64.0]);
         let dark = texture.sample(0.5, 1.0 / 16.0, long, short)[0];
         let bright = texture.sample(0.5, 3.0 / 16.0, long, short)[0];

@@ -55,13 +55,18 @@ impl Trajectory {
     /// # Errors
     /// [`SynthError::NoPath`] when the volume leaves no way through.
     pub fn generate(scene: &Scene, volume: &Volume, options: PathOptions) -> Result<Self, SynthError> {
-        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        // Another room, another walk: equal seeds shall not give equal poses in different places.
+        let room = scene.options().room;
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed ^ room.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         rng.set_stream(u64::from(options.sequence) + 1);
         let duration_s = f64::from(options.frames) / options.rate_hz + 2.0 * RIM_S;
         let count = |knot_s: f64| (duration_s / knot_s).ceil() as usize + 4;
         let path = find_path(scene, volume, options, count(KNOT_S), &mut rng)?;
         let tremor = (0..count(TREMOR_KNOT_S))
-            .map(|_| [TREMOR_M, TREMOR_M, TREMOR_M, TREMOR_RAD, TREMOR_RAD, TREMOR_RAD].map(|a| a * rng.random_range(-1.0..1.0)))
+            .map(|_| {
+                [TREMOR_M, TREMOR_M, TREMOR_M, TREMOR_RAD, TREMOR_RAD, TREMOR_RAD]
+                    .map(|a| a * rng.random_range(-1.0..1.0))
+            })
             .collect();
         let gains = (0..count(KNOT_S)).map(|_| [rng.random_range(0.8..1.25)]).collect();
         Ok(Self { path, tremor, gains, options })
@@ -105,7 +110,13 @@ fn find_path(
         tries += 1;
         if tries > budget {
             let (room, volume) = (scene.options().room, volume.kind.name());
-            return Err(SynthError::NoPath { room, volume, seed: options.seed, sequence: options.sequence, tries });
+            return Err(SynthError::NoPath {
+                room,
+                volume,
+                seed: options.seed,
+                sequence: options.sequence,
+                tries,
+            });
         }
         let next = path.last().map_or(goal, |last| step(last, &goal, speed));
         path.push(next);
@@ -151,7 +162,11 @@ fn step(last: &[f64; 6], goal: &[f64; 6], speed_mps: f64) -> [f64; 6] {
 fn way_is_free(scene: &Scene, volume: &Volume, path: &[[f64; 6]]) -> bool {
     // The tremor and the gaps between samples (2 cm at most) may take this much of the clearance.
     const SLACK_M: f64 = 0.03;
-    let strict = Volume { clearance_m: volume.clearance_m + SLACK_M, view_m: volume.view_m + SLACK_M, ..volume.clone() };
+    let strict = Volume {
+        clearance_m: volume.clearance_m + SLACK_M,
+        view_m: volume.view_m + SLACK_M,
+        ..volume.clone()
+    };
     let Some(last) = path.last() else { return true };
     if path.len() < 4 {
         return strict.allows(scene, last);

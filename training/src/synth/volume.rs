@@ -106,7 +106,8 @@ impl Volume {
     /// the yaw lies within half a turn of 0.
     pub(super) fn draw(&self, rng: &mut ChaCha8Rng, margin_rad: f64) -> [f64; 6] {
         let (yaw, spread) = self.yaw_rad.map_or((0.0, PI), |(yaw, spread)| (yaw, spread - margin_rad));
-        let around = |rng: &mut ChaCha8Rng, centre: f64, half: f64| centre + half * rng.random_range(-1.0..1.0);
+        let around =
+            |rng: &mut ChaCha8Rng, centre: f64, half: f64| centre + half * rng.random_range(-1.0..1.0);
         let (low, high) = (self.pitch_rad.0 + margin_rad, self.pitch_rad.1 - margin_rad);
         [
             around(rng, self.centre_m[0], self.half_m[0]),

@@ -158,7 +158,11 @@ impl Recipe {
             return wrong("sequences", self.sequences.to_string(), "1 to 99");
         }
         if self.test_sequences > self.sequences {
-            return wrong("test sequences", self.test_sequences.to_string(), "at most the number of sequences");
+            return wrong(
+                "test sequences",
+                self.test_sequences.to_string(),
+                "at most the number of sequences",
+            );
         }
         if self.frames == 0 || self.frames > 1_000_000 {
             return wrong("frames", self.frames.to_string(), "1 to 1000000");
