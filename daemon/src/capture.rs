@@ -141,14 +141,18 @@ impl Watch {
     }
 
     fn good(&mut self, mut frame: Frame) -> Sent {
-        let Capture { state, time_offset_ns, frames, stop, .. } = &self.capture;
+        let Capture { state, time_offset_ns, frames, stop, manager, .. } = &self.capture;
         state.counters.captured.fetch_add(1, Relaxed);
         let CaptureTime { ns, clock } = frame.capture_time;
         frame.capture_time = CaptureTime { ns: ns.saturating_add_signed(*time_offset_ns), clock };
         self.is_loss = false;
-        if std::mem::take(&mut self.is_out) || state.source() == SourceState::OPENING {
+        let is_back = std::mem::take(&mut self.is_out);
+        if is_back || state.source() == SourceState::OPENING {
             tracing::info!(source = self.name, sequence = frame.sequence, "frames arrive");
             state.set_source(SourceState::STREAMING);
+        }
+        if is_back {
+            manager.status("publishing poses");
         }
         let sent = frames.send(Captured { frame, losses: self.losses, outages: self.outages }, stop);
         self.last_good = Instant::now();
@@ -207,5 +211,164 @@ impl Watch {
         let new = dropped.checked_sub(self.dropped_before).unwrap_or(dropped);
         self.dropped_before = dropped;
         self.capture.state.counters.source_dropped.fetch_add(new, Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use crossbeam_channel::{bounded, unbounded};
+    use grnet_frame::{PixelFormat, Pixels, SourceInfo};
+    use grnet_proto::{Access, BootId, CameraName};
+
+    use super::*;
+    use crate::failure::Kind;
+    use crate::scenes::ModelIdentity;
+    use crate::slot::{WhenFull, slot};
+    use crate::state::Identity;
+
+    #[derive(Debug, Clone, Copy)]
+    enum Step {
+        Frame(u64),
+        Timeout,
+        Bad,
+        Lost,
+        Unusable,
+        /// The source's own count of drops from now on.
+        Dropped(u64),
+    }
+
+    #[derive(Debug)]
+    struct Script {
+        kind: SourceKind,
+        steps: VecDeque<Step>,
+        dropped: u64,
+    }
+
+    impl FrameSource for Script {
+        fn info(&self) -> SourceInfo {
+            let name = "script".into();
+            SourceInfo { name, kind: self.kind, nominal_rate_hz: None, length: None, camera: None }
+        }
+
+        fn next_frame(&mut self, timeout: Duration) -> Result<Received, SourceError> {
+            let (source_name, reason) = ("script".to_owned(), "as told".to_owned());
+            match self.steps.pop_front() {
+                None => Ok(Received::End),
+                Some(Step::Frame(sequence)) => {
+                    let pixels = Pixels::packed(PixelFormat::Gray8, 1, 1, vec![0]).unwrap();
+                    let capture_time = CaptureTime::monotonic(sequence * 1000);
+                    Ok(Received::Frame(Frame { pixels: pixels.into(), capture_time, sequence, camera: None }))
+                }
+                Some(Step::Timeout) => {
+                    std::thread::sleep(timeout / 20);
+                    Ok(Received::Timeout)
+                }
+                Some(Step::Bad) => Err(SourceError::BadFrame { source_name, sequence: 0, reason }),
+                Some(Step::Lost) => Err(SourceError::Lost { source_name, reason }),
+                Some(Step::Unusable) => Err(SourceError::Unusable { source_name, reason }),
+                Some(Step::Dropped(count)) => {
+                    self.dropped = count;
+                    Ok(Received::Timeout)
+                }
+            }
+        }
+
+        fn dropped_frames(&self) -> u64 {
+            self.dropped
+        }
+    }
+
+    struct Outcome {
+        /// (sequence, ns, losses, outages) of every frame.
+        frames: Vec<(u64, u64, u64, u64)>,
+        outages: Vec<Outage>,
+        state: Arc<State>,
+        is_ready: bool,
+        result: Result<(), Failure>,
+    }
+
+    fn play(kind: SourceKind, steps: &[Step]) -> Outcome {
+        let identity = Identity {
+            boot_id: BootId::NONE,
+            camera: CameraName::default(),
+            access: Access::USER,
+            source: "script".into(),
+        };
+        let model = ModelIdentity { model_hash: [0; 32], name: "m".into(), trained: true, scene: None };
+        let state = Arc::new(State::new(identity, model));
+        let (frames, taken) = slot(WhenFull::Block, Arc::default());
+        let (gate, opened) = bounded(1);
+        gate.send(()).unwrap();
+        let (outages, announced) = unbounded();
+        let manager = Arc::new(ServiceManager::default());
+        let worker = std::thread::spawn(move || {
+            let describe = |c: Captured| (c.frame.sequence, c.frame.capture_time.ns, c.losses, c.outages);
+            taken.iter().map(describe).collect::<Vec<_>>()
+        });
+        let result = run(Capture {
+            source: Box::new(Script { kind, steps: steps.iter().copied().collect(), dropped: 0 }),
+            time_offset_ns: -7,
+            silence: Duration::from_millis(2),
+            gate: opened,
+            frames,
+            outages,
+            state: Arc::clone(&state),
+            manager: Arc::clone(&manager),
+            stop: Stop::default(),
+            activity: Activity::default(),
+        });
+        let (frames, outages) = (worker.join().unwrap(), announced.iter().collect());
+        Outcome { frames, outages, state, is_ready: manager.is_ready(), result }
+    }
+
+    #[test]
+    fn a_loss_is_announced_once_and_later_frames_carry_it() {
+        use Step::{Frame, Lost};
+        let outcome = play(SourceKind::OnDemand, &[Frame(1), Lost, Lost, Frame(2), Frame(3), Lost, Frame(4)]);
+        assert_eq!(outcome.frames, [(1, 993, 0, 0), (2, 1993, 1, 1), (3, 2993, 1, 1), (4, 3993, 2, 2)]);
+        assert_eq!(outcome.outages, [Outage(1), Outage(2)]);
+        assert!(outcome.is_ready && outcome.result.is_ok());
+        assert_eq!(outcome.state.source(), SourceState::ENDED);
+        assert_eq!(outcome.state.counters.captured.load(Relaxed), 4);
+    }
+
+    #[test]
+    fn silence_is_an_outage_and_no_loss_until_the_source_says_so() {
+        use Step::{Frame, Lost, Timeout};
+        let steps = [Frame(1), Timeout, Timeout, Frame(2), Timeout, Timeout, Lost, Frame(3)];
+        let outcome = play(SourceKind::Live, &steps);
+        assert_eq!(outcome.frames, [(1, 993, 0, 0), (2, 1993, 0, 1), (3, 2993, 1, 2)]);
+        assert_eq!(outcome.outages, [Outage(1), Outage(2)]);
+    }
+
+    #[test]
+    fn a_slow_disk_is_no_silence() {
+        use Step::{Frame, Timeout};
+        let outcome = play(SourceKind::OnDemand, &[Frame(1), Timeout, Timeout, Frame(2)]);
+        assert!(outcome.outages.is_empty() && !outcome.is_ready);
+        assert_eq!(outcome.frames.len(), 2);
+    }
+
+    #[test]
+    fn a_bad_frame_is_counted_and_the_next_one_is_used() {
+        let outcome = play(SourceKind::OnDemand, &[Step::Bad, Step::Frame(1), Step::Bad, Step::Frame(2)]);
+        assert_eq!((outcome.frames.len(), outcome.state.counters.bad.load(Relaxed)), (2, 2));
+        assert!(outcome.result.is_ok());
+    }
+
+    #[test]
+    fn a_source_that_can_never_work_ends_the_daemon_as_a_bad_configuration() {
+        let outcome = play(SourceKind::Live, &[Step::Unusable, Step::Frame(1)]);
+        assert_eq!(outcome.result.unwrap_err().kind, Kind::Config);
+        assert!(outcome.frames.is_empty());
+    }
+
+    #[test]
+    fn drops_are_summed_over_a_reopened_source() {
+        use Step::Dropped;
+        let outcome = play(SourceKind::OnDemand, &[Dropped(2), Dropped(3), Dropped(1), Dropped(1)]);
+        assert_eq!(outcome.state.counters.source_dropped.load(Relaxed), 4);
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Sender, bounded, select};
+use crossbeam_channel::{Receiver, Sender, bounded, select};
 use grnet_proto::clock::Now;
 use grnet_proto::{
     Command, ControlReply, ControlRequest, ControlServer, Node, Outcome, Role, SCHEMA_VERSION,
@@ -31,6 +31,8 @@ const CLEAN_UP: Duration = Duration::from_secs(2);
 pub struct Control {
     /// Who may subscribe, and where.
     pub transport: Transport,
+    /// Gets one message when the camera's name is ours.
+    pub opened: Receiver<()>,
     /// Which scenes there are.
     pub scenes: SceneLibrary,
     /// Orders to the worker.
@@ -50,6 +52,13 @@ type Answer = (Outcome, String);
 /// # Errors
 /// When the port cannot be opened, or shared memory is corrupt.
 pub fn run(mut control: Control) -> Result<(), Failure> {
+    select! {
+        recv(control.opened) -> opened => if opened.is_err() {
+            return Ok(());
+        },
+        recv(control.stop.channel()) -> _ => return Ok(()),
+    }
+    control.activity.work();
     let node = Node::open(control.transport.access, &control.transport.root, Role::Daemon)?;
     let server = ControlServer::open(&node, &control.state.identity.camera)?;
     control.state.set_scenes(control.scenes.list());

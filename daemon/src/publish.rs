@@ -38,7 +38,9 @@ pub struct Publish {
     pub silence: Option<Duration>,
     /// The gate to the frames is opened when so many subscribers are there.
     pub wait_for_subscribers: usize,
-    /// Gets one message when the ports are open and frames may be read.
+    /// Gets one message when the ports are open: the name is ours.
+    pub opened: Sender<()>,
+    /// Gets one message when frames may be read.
     pub gate: Sender<()>,
     /// Samples from the worker.
     pub output: Receiver<Output>,
@@ -70,11 +72,13 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
         feed: Feed::new(publish.silence),
         failed: Repeats::default(),
         failed_before: 0,
+        published_before: 0,
     };
     ports.heartbeat()?;
     tracing::info!(service = ports.pose.service(), root = %transport.root, "publishing");
+    // Threads that have gone have told their error elsewhere.
+    let _ = publish.opened.try_send(());
     ports.admit_subscribers(&publish)?;
-    // A capture thread that has gone has told its error elsewhere.
     let _ = publish.gate.try_send(());
 
     let beat = tick(publish.heartbeat);
@@ -107,6 +111,7 @@ struct Ports {
     feed: Feed,
     failed: Repeats,
     failed_before: u64,
+    published_before: u64,
 }
 
 impl Ports {
@@ -163,13 +168,17 @@ impl Ports {
         if self.feed.outage(number) { self.absent() } else { Ok(()) }
     }
 
-    /// The status; an invalid sample again where there is no pose; otherwise the last sample to whoever is new.
+    /// The status; an invalid sample again where there is no pose; otherwise, when no sample went out since the
+    /// last heartbeat, the last one to whoever is new: nobody else would wake a client that waits for its first.
     fn heartbeat(&mut self) -> Result<(), Failure> {
+        let published = self.state.counters.published.load(Relaxed);
         if self.feed.has_no_pose(Instant::now()) {
             self.absent()?;
-        } else {
+        } else if published == self.published_before {
             self.pose.update_connections()?;
+            self.pose.notify()?;
         }
+        self.published_before = published;
         self.publish_status()
     }
 

@@ -70,6 +70,7 @@ fn stream(
     let (queue_in, queue_out) = bounded(QUEUE);
     let (outages_in, outages_out) = unbounded();
     let (orders_in, orders_out) = bounded(1);
+    let (opened_in, opened_out) = bounded(1);
     let (gate_in, gate_out) = bounded(1);
     let mut threads = Supervisor::new(Arc::clone(&manager));
     let stop = || threads.stop();
@@ -99,6 +100,7 @@ fn stream(
     };
     let control = Control {
         transport: transport.clone(),
+        opened: opened_out,
         scenes: SceneLibrary::new(&files.checkpoint, files.scene.as_deref(), &model),
         orders: orders_in,
         state: Arc::clone(&state),
@@ -110,6 +112,7 @@ fn stream(
         heartbeat: publish.heartbeat(),
         silence: (kind == SourceKind::Live).then_some(source_config.silence),
         wait_for_subscribers: publish.wait_for_subscribers,
+        opened: opened_in,
         gate: gate_in,
         output: queue_out,
         outages: outages_out,
@@ -161,7 +164,7 @@ impl Parts {
         let info = self.source.info();
         tracing::info!(source = info.name, kind = ?info.kind, rate_hz = info.nominal_rate_hz, "source");
         for note in &self.source_notes {
-            tracing::warn!(note, "source");
+            tracing::info!(note, "source");
         }
         let pipeline = self.pipeline.info();
         let scene = self.model.scene.as_ref().map_or("none", |scene| &scene.name);

@@ -192,3 +192,75 @@ pub fn install_panic_hook() {
         });
     }));
 }
+
+#[cfg(test)]
+mod tests {
+    use grnet_proto::{Access, BootId, CameraName};
+
+    use super::*;
+    use crate::failure::Kind;
+    use crate::scenes::ModelIdentity;
+    use crate::state::Identity;
+
+    fn supervise(supervisor: Supervisor) -> Result<(), Failure> {
+        let identity = Identity {
+            boot_id: BootId::NONE,
+            camera: CameraName::default(),
+            access: Access::USER,
+            source: "none".into(),
+        };
+        let model = ModelIdentity { model_hash: [0; 32], name: "m".into(), trained: true, scene: None };
+        let signals = SignalThread::start().unwrap();
+        supervisor.supervise("last", &signals, &State::new(identity, model), || {})
+    }
+
+    #[test]
+    fn a_panic_is_an_error_that_ends_everybody() {
+        install_panic_hook();
+        let mut supervisor = Supervisor::new(Arc::default());
+        let stop = supervisor.stop();
+        supervisor
+            .start("waits", &Activity::default(), move || {
+                assert!(stop.wait(Duration::from_secs(60)));
+                Ok(())
+            })
+            .unwrap();
+        supervisor.start("panics", &Activity::default(), || panic!("two plus two is five")).unwrap();
+        let failure = supervise(supervisor).unwrap_err();
+        assert_eq!(failure.kind, Kind::Internal);
+        let text = failure.chain();
+        assert!(text.contains("thread panics") && text.contains("two plus two is five"), "{text}");
+        assert!(text.contains("supervisor.rs:"), "{text}");
+    }
+
+    #[test]
+    fn the_last_thread_ends_the_daemon_and_a_later_error_is_not_lost() {
+        let mut supervisor = Supervisor::new(Arc::default());
+        let stop = supervisor.stop();
+        supervisor.start("last", &Activity::default(), || Ok(())).unwrap();
+        supervisor
+            .start("fails late", &Activity::default(), move || {
+                stop.wait(Duration::from_secs(60));
+                Err(Failure::config(anyhow::anyhow!("too late")))
+            })
+            .unwrap();
+        assert_eq!(supervise(supervisor).unwrap_err().chain(), "too late");
+    }
+
+    #[test]
+    fn a_thread_that_does_not_end_is_left_behind() {
+        let mut supervisor = Supervisor::new(Arc::default());
+        let (release, held) = crossbeam_channel::bounded::<()>(0);
+        supervisor.start("last", &Activity::default(), || Ok(())).unwrap();
+        supervisor
+            .start("hangs", &Activity::default(), move || {
+                assert!(held.recv().is_err());
+                Ok(())
+            })
+            .unwrap();
+        let begun = Instant::now();
+        assert!(supervise(supervisor).is_ok());
+        assert!(begun.elapsed() >= GRACE);
+        drop(release);
+    }
+}

@@ -160,9 +160,14 @@ pub struct Daemon {
 
 impl Daemon {
     pub fn start(rig: &Rig, arguments: &[&str]) -> Self {
+        Self::start_with(rig, arguments, &[])
+    }
+
+    pub fn start_with(rig: &Rig, arguments: &[&str], environment: &[(&str, String)]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_grnetd"))
             .args(["run", "--config", &rig.config()])
             .args(arguments)
+            .envs(environment.iter().map(|(name, value)| (name, value)))
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
