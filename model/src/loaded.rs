@@ -22,6 +22,8 @@ pub struct LoadedModel {
     pub metadata: CheckpointMetadata,
     /// SHA-256 over the tensors in use: one and the same for a complete checkpoint and for its trunk with its scene.
     pub model_hash: [u8; 32],
+    /// SHA-256 over the tensors of CNN1 and RCNN1 alone: equal for all scenes of one trunk.
+    pub trunk_hash: [u8; 32],
     /// Whether every part was trained; the poses of an untrained model mean nothing.
     pub trained: bool,
 }
@@ -71,9 +73,10 @@ impl LoadedModel {
         }
         let metadata = checkpoint.metadata().clone();
         let model_hash = content_hash(checkpoint.tensors.iter());
+        let trunk_hash = content_hash(checkpoint.tensors.iter().filter(|(name, _)| Kind::Trunk.holds(name)));
         let network =
             Network::new(&network, checkpoint.into_var_builder(device)?)?.with_live_heads(metadata.heads);
-        Ok(Self { network, trained: metadata.is_trained(), metadata, model_hash })
+        Ok(Self { network, trained: metadata.is_trained(), metadata, model_hash, trunk_hash })
     }
 
     /// A network with drawn weights: the same seed gives the same weights everywhere. See [`untrained::checkpoint`].

@@ -57,9 +57,6 @@ pub enum PipelineError {
     /// No head of the model gives a pose.
     #[error("the model has no trained pose head: neither odometry nor a map pose could be computed")]
     NoLiveHead,
-    /// The new model could not be compared with the one in place.
-    #[error("the new model failed on a trial image")]
-    Trial(#[from] InferError),
 }
 
 /// Why a frame gave no estimate. Poses and the network's state are as if the frame had never come; only where the
@@ -206,12 +203,12 @@ impl Pipeline {
     /// another trunk starts it anew. The map pose is forgotten, for it belongs to the scene that left.
     ///
     /// # Errors
-    /// As [`Pipeline::new`], and when the new model cannot be run; the old one stays in place then.
+    /// As [`Pipeline::new`]; the old model stays in place then.
     pub fn swap_model(&mut self, model: LoadedModel) -> Result<(), PipelineError> {
         let traits = model_traits(&model, &self.options)?;
         let preprocessor =
             Preprocessor::new(input_spec(&model)?, self.options.intrinsics, self.options.camera)?;
-        let motion_goes_on = self.infer.swap(model)?;
+        let motion_goes_on = self.infer.swap(model);
         if preprocessor.spec() != self.preprocessor.spec() {
             self.preprocessor = preprocessor;
         }

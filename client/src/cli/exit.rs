@@ -12,7 +12,10 @@ use signal_hook::{
     flag,
 };
 
+use super::reference::ReferenceError;
+
 const INTERNAL: u8 = 70;
+const BAD_FILE: u8 = 78;
 
 /// A flag that SIGINT and SIGTERM set; a second one ends the process at once.
 pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
@@ -33,7 +36,8 @@ pub fn code(result: anyhow::Result<()>) -> ExitCode {
     }
     // Standard error may be closed as well; the exit code still tells.
     let _ = writeln!(io::stderr(), "grnet-client: {error:#}");
-    ExitCode::from(error.downcast_ref().map_or(INTERNAL, client_code))
+    let reference = error.is::<ReferenceError>().then_some(BAD_FILE);
+    ExitCode::from(reference.unwrap_or_else(|| error.downcast_ref().map_or(INTERNAL, client_code)))
 }
 
 fn client_code(error: &ClientError) -> u8 {

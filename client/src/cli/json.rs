@@ -4,6 +4,8 @@ use grnet_client::{DaemonStatus, Sample};
 use grnet_geometry::{Covariance6, Pose, nalgebra::Vector3, quaternion};
 use serde_json::{Value, json};
 
+use super::reference::Deviation;
+
 /// One sample; `lost_samples` counts what this client never saw.
 pub fn sample(sample: &Sample, lost_samples: u64) -> Value {
     let raw = sample.raw();
@@ -43,6 +45,13 @@ pub fn sample(sample: &Sample, lost_samples: u64) -> Value {
             "total": microseconds(latency.total_us),
         },
     })
+}
+
+/// Ground truth and the distance to it.
+pub fn deviation(deviation: Option<&Deviation>) -> Value {
+    let Some(deviation) = deviation else { return Value::Null };
+    let (error_m, error_deg) = deviation.error.unzip();
+    json!({ "map_from_base": pose(Some(deviation.map_from_base), None), "error_m": error_m, "error_deg": error_deg })
 }
 
 /// The daemon's state.

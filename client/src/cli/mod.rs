@@ -4,7 +4,9 @@ mod exit;
 mod human;
 mod json;
 mod print;
+mod reference;
 mod status;
+mod table;
 mod tail;
 
 use std::{path::PathBuf, process::ExitCode, time::Duration};
@@ -35,11 +37,11 @@ struct ConnectionArgs {
     #[arg(long, global = true, value_name = "NAME", default_value = CameraName::DEFAULT, env = "GRNET_CAMERA")]
     camera: CameraName,
 
-    /// Folder of the daemon's services, where grnetd.toml sets transport.root
+    /// Folder of the daemon's services, where grnetd.toml sets publish.root
     #[arg(long, global = true, value_name = "FOLDER", env = "GRNET_ROOT")]
     root: Option<PathBuf>,
 
-    /// Prefix of the daemon's names in shared memory, where grnetd.toml sets transport.prefix
+    /// Prefix of the daemon's names in shared memory, where grnetd.toml sets publish.prefix
     #[arg(long, global = true, value_name = "PREFIX", env = "GRNET_PREFIX", requires = "root")]
     prefix: Option<String>,
 }
@@ -82,6 +84,14 @@ pub struct TailArgs {
     /// Print the newest sample and skip older ones that are still waiting
     #[arg(long)]
     latest: bool,
+
+    /// Show ground truth beside the map pose: a KITTI trajectory of the base, one row per frame of the source
+    #[arg(long, value_name = "FILE")]
+    reference: Option<PathBuf>,
+
+    /// Stop when the daemon says that it stops or that its recording is over
+    #[arg(long)]
+    until_end: bool,
 }
 
 /// How `status` prints.

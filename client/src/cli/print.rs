@@ -2,20 +2,24 @@
 
 use std::io::IsTerminal as _;
 
-use anstyle::{AnsiColor, Style};
-use grnet_client::{Reason, Sample, Status};
+use grnet_client::Sample;
 use grnet_geometry::{
     Pose, quaternion,
     trajectory::{KittiPose, StampedPose, tum},
 };
 
-use super::{Format, Which, human, json};
+use super::{
+    Format, Which, human, json,
+    reference::{Deviation, Reference},
+    table::Table,
+};
 
 /// Turns samples into text.
 pub struct Printer {
     format: Format,
     which: Which,
-    colours: bool,
+    table: Table,
+    reference: Option<Reference>,
     rows: u64,
 }
 
@@ -25,8 +29,26 @@ const ROWS_PER_HEADER: u64 = 30;
 const CSV_HEADER: &str = "capture_time_s,sequence,sample,status,reason,x_m,y_m,z_m,qx,qy,qz,qw,latency_ms,dropped_frames,reset_epoch";
 
 impl Printer {
-    pub fn new(format: Format, which: Which) -> Self {
-        Self { format, which, colours: human::colours(), rows: 0 }
+    pub fn new(format: Format, which: Which, reference: Option<Reference>) -> Self {
+        let table = Table { colours: human::colours(), reference: reference.is_some() };
+        Self { format, which, table, reference, rows: 0 }
+    }
+
+    /// Takes a sample, printed or not, into the comparison with the reference.
+    pub fn compare(&mut self, sample: &Sample) {
+        let deviation = self.deviation(sample);
+        if let (Some(reference), Some(deviation)) = (&mut self.reference, deviation) {
+            reference.count(&deviation);
+        }
+    }
+
+    /// What the comparison with the reference came to.
+    pub fn summary(&mut self) -> Option<String> {
+        self.reference.as_mut()?.summary()
+    }
+
+    fn deviation(&self, sample: &Sample) -> Option<Deviation> {
+        self.reference.as_ref()?.compare(sample, self.pose(sample))
     }
 
     /// Can the format show this sample? tum and kitti have no way to say "not known".
@@ -42,8 +64,16 @@ impl Printer {
     pub fn text(&mut self, sample: &Sample, lost_samples: u64) -> String {
         let mut text = self.header();
         match self.format {
-            Format::Table => self.row(&mut text, sample, lost_samples),
-            Format::Json => text.push_str(&json::sample(sample, lost_samples).to_string()),
+            Format::Table => {
+                text.push_str(&self.table.row(sample, lost_samples, self.deviation(sample).as_ref()));
+            }
+            Format::Json => {
+                let mut value = json::sample(sample, lost_samples);
+                if self.reference.is_some() {
+                    value["reference"] = json::deviation(self.deviation(sample).as_ref());
+                }
+                text.push_str(&value.to_string());
+            }
             Format::Csv => self.csv(&mut text, sample),
             Format::Tum => {
                 if let (Some(world_from_camera), Some(time_ns)) =
@@ -75,71 +105,15 @@ impl Printer {
 
     fn header(&self) -> String {
         match self.format {
+            // Only a terminal scrolls the header out of sight.
             Format::Table
                 if self.rows == 0
                     || (self.rows.is_multiple_of(ROWS_PER_HEADER) && std::io::stdout().is_terminal()) =>
             {
-                let bold = if self.colours { Style::new().bold() } else { Style::new() };
-                let groups = format!(
-                    "{:12} {:>8}  {:12} {:^26} {:^23} {:^26} {:>8} {:>7}",
-                    "time",
-                    "frame",
-                    "status",
-                    "map from base",
-                    "map from base",
-                    "odom from base",
-                    "latency",
-                    "dropped"
-                );
-                let units = format!(
-                    "{:12} {:>8}  {:12} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>8} {:>8} {:>8} {:>7}",
-                    "UTC",
-                    "",
-                    "",
-                    "x m",
-                    "y m",
-                    "z m",
-                    "yaw deg",
-                    "pitch",
-                    "roll",
-                    "x m",
-                    "y m",
-                    "z m",
-                    "ms",
-                    "frames"
-                );
-                format!("{bold}{}{bold:#}\n{bold}{}{bold:#}\n", groups.trim_end(), units.trim_end())
+                self.table.header()
             }
             Format::Csv if self.rows == 0 => format!("{CSV_HEADER}\n"),
             _ => String::new(),
-        }
-    }
-
-    fn row(&self, text: &mut String, sample: &Sample, lost_samples: u64) {
-        let style = if self.colours { status_style(sample.status()) } else { Style::new() };
-        let time = sample.publish_epoch_ns().map_or_else(|| "-".to_owned(), human::time_of_day);
-        let sequence = sample.sequence().map_or_else(|| "-".to_owned(), |sequence| sequence.to_string());
-        text.push_str(&format!("{time:12} {sequence:>8}  {style}{:12}{style:#}", sample.status()));
-        let map = sample.map_from_base();
-        position(text, map.as_ref());
-        match map {
-            Some(pose) => {
-                let (roll, pitch, yaw) = pose.rotation.euler_angles();
-                for angle in [yaw, pitch, roll] {
-                    text.push_str(&format!(" {:>7.1}", angle.to_degrees()));
-                }
-            }
-            None => text.push_str(&format!(" {:>7}", "-").repeat(3)),
-        }
-        position(text, sample.odom_from_base().as_ref());
-        let latency_ms = f64::from(sample.latency().total_us) / 1e3;
-        let latency = if latency_ms.is_finite() { format!("{latency_ms:.1}") } else { "-".to_owned() };
-        text.push_str(&format!(" {latency:>8} {:>7}", sample.dropped_frames()));
-        if sample.reason() != Reason::NONE {
-            text.push_str(&format!("  {}", sample.reason()));
-        }
-        if lost_samples > 0 {
-            text.push_str(&format!("  ({lost_samples} lost here)"));
         }
     }
 
@@ -171,26 +145,9 @@ impl Printer {
     }
 }
 
-fn position(text: &mut String, pose: Option<&Pose>) {
-    match pose {
-        Some(pose) => pose.translation.vector.iter().for_each(|v| text.push_str(&format!(" {v:>8.3}"))),
-        None => text.push_str(&format!(" {:>8}", "-").repeat(3)),
-    }
-}
-
-fn status_style(status: Status) -> Style {
-    let colour = match status {
-        Status::TRACKING => AnsiColor::Green,
-        Status::INITIALIZING => AnsiColor::Cyan,
-        Status::DEGRADED => AnsiColor::Yellow,
-        _ => AnsiColor::Red,
-    };
-    Style::new().fg_color(Some(colour.into()))
-}
-
 #[cfg(test)]
 mod tests {
-    use grnet_client::{BootId, CaptureClock, PoseSample};
+    use grnet_client::{BootId, CaptureClock, PoseSample, Reason, Status};
 
     use super::*;
 
@@ -210,7 +167,7 @@ mod tests {
 
     fn print(format: Format, which: Which, raw: PoseSample) -> (bool, String) {
         let sample = Sample::new(raw);
-        let mut printer = Printer { format, which, colours: false, rows: 1 };
+        let mut printer = Printer { rows: 1, ..Printer::new(format, which, None) };
         (printer.shows(&sample), printer.text(&sample, 0))
     }
 
@@ -242,43 +199,5 @@ mod tests {
         assert_eq!(csv.matches(',').count(), CSV_HEADER.matches(',').count());
         let (_, csv) = print(Format::Csv, Which::Odom, valid());
         assert!(csv.contains(",1,-2.5,0,0,0,0.6,0.8,"), "{csv}");
-        let (_, row) = print(Format::Table, Which::Map, valid());
-        let cells: Vec<_> = row.split_whitespace().collect();
-        let expected = [
-            "22:13:21.520",
-            "7",
-            "TRACKING",
-            "-",
-            "-",
-            "-",
-            "-",
-            "-",
-            "-",
-            "1.000",
-            "-2.500",
-            "0.000",
-            "20.0",
-            "0",
-        ];
-        assert_eq!(cells, expected);
-    }
-
-    #[test]
-    fn the_columns_stand_under_their_heads() {
-        let printer = Printer { format: Format::Table, which: Which::Map, colours: false, rows: 0 };
-        let header = printer.header();
-        let units = header.lines().nth(1).unwrap();
-        let mut raw = valid();
-        raw.map_from_base = raw.odom_from_base;
-        let row = print(Format::Table, Which::Map, raw).1;
-        assert_eq!(units.len(), row.trim_end().len());
-        for end in
-            ["x m", "yaw deg", "roll", "ms", "frames"].map(|head| units.find(head).unwrap() + head.len())
-        {
-            assert!(
-                !row[end - 1..end].trim().is_empty()
-                    && row[end..].chars().next().is_none_or(char::is_whitespace)
-            );
-        }
     }
 }

@@ -7,19 +7,23 @@ use std::{
 };
 
 use clap::ValueEnum as _;
-use grnet_client::{BootId, ClientError, Connection, PoseSubscriber, Sample};
+use grnet_client::{BootId, ClientError, Connection, PoseSubscriber, Reason, Sample};
 
-use super::{TailArgs, print::Printer};
+use super::{TailArgs, print::Printer, reference::Reference};
 
 /// How long a signal can take to be noticed while no sample comes.
 const NOTICE_SIGNAL: Duration = Duration::from_millis(100);
 
 /// Prints samples until the count is reached, the timeout passes, a signal comes or the reader goes.
 pub fn run(connection: &Connection, args: &TailArgs, stop: &AtomicBool) -> anyhow::Result<()> {
+    let reference = args.reference.as_deref().map(Reference::read).transpose()?;
     let mut subscriber = PoseSubscriber::open(connection)?;
-    let mut tail = Tail::new(args);
+    let mut tail = Tail::new(args, reference);
     let result = tail.follow(&mut subscriber, args, stop);
     tail.out.flush()?;
+    if let Some(summary) = tail.printer.summary() {
+        eprintln!("grnet-client: {summary}");
+    }
     if tail.hidden > 0 {
         let which =
             args.pose.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
@@ -41,10 +45,10 @@ struct Tail<'args> {
 }
 
 impl<'args> Tail<'args> {
-    fn new(args: &'args TailArgs) -> Self {
+    fn new(args: &'args TailArgs, reference: Option<Reference>) -> Self {
         Self {
             args,
-            printer: Printer::new(args.format(), args.pose),
+            printer: Printer::new(args.format(), args.pose, reference),
             out: BufWriter::new(io::stdout().lock()),
             printed: 0,
             hidden: 0,
@@ -80,7 +84,8 @@ impl<'args> Tail<'args> {
                     }
                     self.announce(&sample);
                     self.take(&sample, subscriber.lost_samples())?;
-                    if args.count.is_some_and(|count| self.printed >= count) {
+                    let last_word = matches!(sample.reason(), Reason::SOURCE_ENDED | Reason::STOPPING);
+                    if args.count.is_some_and(|count| self.printed >= count) || (args.until_end && last_word) {
                         return Ok(());
                     }
                 }
@@ -129,6 +134,7 @@ impl<'args> Tail<'args> {
             return Ok(());
         }
         self.last_printable = Instant::now();
+        self.printer.compare(sample);
         if self.is_due(sample.raw().publish_time_ns) {
             self.out.write_all(self.printer.text(sample, lost_samples).as_bytes())?;
             self.printed += 1;
