@@ -91,7 +91,10 @@ fn format(name: &str) -> Result<PixelFormat, Failure> {
 
 fn list() {
     for camera in list_cameras() {
-        println!("{} {} ({}): {}", camera.device.display(), camera.card, camera.driver, camera.offers);
+        println!("{} {} ({}):", camera.device.display(), camera.card, camera.driver);
+        for mode in &camera.modes {
+            println!("  {mode}");
+        }
         for control in &camera.controls {
             println!(
                 "  {} {}..{} default {}",

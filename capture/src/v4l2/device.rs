@@ -1,6 +1,5 @@
 //! Opening a camera and agreeing with its driver on format, size, rate and controls.
 
-use std::fmt::Write as _;
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
 use std::{io, panic};
@@ -8,14 +7,12 @@ use std::{io, panic};
 use grnet_frame::PixelFormat;
 use v4l::capability::Flags;
 use v4l::format::FieldOrder;
-use v4l::frameinterval::FrameIntervalEnum;
-use v4l::framesize::FrameSizeEnum;
 use v4l::video::Capture;
 use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC, Fraction};
 
-use super::V4l2Options;
 use super::controls::{self, ControlError};
+use super::{V4l2Options, modes};
 
 /// The formats that can be used, with the FourCC under which V4L2 knows them; the cheapest to convert first.
 pub(super) const FORMATS: [(PixelFormat, &[u8; 4]); 5] = [
@@ -86,7 +83,7 @@ fn agree(device: &Device, options: &V4l2Options) -> Result<Agreed, OpenError> {
     let (width, height) = options.size_px.unwrap_or((current.width, current.height));
     let asked = Format::new(width, height, fourcc(format));
     let refused = |got: String| {
-        let offers = offers(device);
+        let offers = modes::text(device);
         OpenError::Unfit(format!(
             "it offers no {width}x{height} {format} ({got}; available: {offers}); set source.size_px and source.format to \
              one of these, or source.accept_substitutes = true"
@@ -147,7 +144,7 @@ fn agree_rate(device: &Device, options: &V4l2Options, got: &Format) -> Result<Op
     let close = found_hz.is_some_and(|hz| (hz - wanted_hz).abs() <= 0.01 * wanted_hz);
     if !close && !options.accept_substitutes {
         let found = found_hz.map_or("an unknown rate".into(), |hz| format!("{hz:.2} Hz"));
-        let offers = rates(device, &got.fourcc.repr, got.width, got.height);
+        let offers = modes::rates_text(&modes::rates_hz(device, got.fourcc, (got.width, got.height)));
         return Err(OpenError::Unfit(format!(
             "it gives {found} where {wanted_hz} Hz was asked (available at this size:{offers}); set source.rate_hz to one of these, or \
              source.accept_substitutes = true"
@@ -164,46 +161,6 @@ fn preferred(device: &Device, current: FourCC) -> io::Result<PixelFormat> {
     let offered = device.enum_formats()?;
     let known = FORMATS.iter().find(|(_, code)| offered.iter().any(|d| d.fourcc == FourCC::new(code)));
     Ok(known.map_or(PixelFormat::Yuyv, |(format, _)| *format))
-}
-
-/// `640x480 YUYV 15/30 Hz, ...`: what the camera offers, in the formats that are understood.
-pub(super) fn offers(device: &Device) -> String {
-    let mut text = String::new();
-    for (format, code) in FORMATS {
-        let Ok(sizes) = device.enum_framesizes(FourCC::new(code)) else { continue };
-        for size in sizes {
-            let separator = if text.is_empty() { "" } else { ", " };
-            let _ = match size.size {
-                FrameSizeEnum::Discrete(s) => write!(
-                    text,
-                    "{separator}{}x{} {format}{}",
-                    s.width,
-                    s.height,
-                    rates(device, code, s.width, s.height)
-                ),
-                FrameSizeEnum::Stepwise(s) => write!(
-                    text,
-                    "{separator}{}x{}..{}x{} {format}",
-                    s.min_width, s.min_height, s.max_width, s.max_height
-                ),
-            };
-        }
-    }
-    if text.is_empty() { "none".into() } else { text }
-}
-
-fn rates(device: &Device, code: &[u8; 4], width_px: u32, height_px: u32) -> String {
-    let Ok(intervals) = device.enum_frameintervals(FourCC::new(code), width_px, height_px) else {
-        return String::new();
-    };
-    let rates = intervals.iter().filter_map(|interval| match &interval.interval {
-        FrameIntervalEnum::Discrete(f) if f.numerator > 0 => {
-            Some(format!("{:.4}", f64::from(f.denominator) / f64::from(f.numerator)))
-        }
-        _ => None,
-    });
-    let rates: Vec<_> = rates.map(|r| r.trim_end_matches('0').trim_end_matches('.').to_owned()).collect();
-    if rates.is_empty() { String::new() } else { format!(" {} Hz", rates.join("/")) }
 }
 
 fn fourcc(format: PixelFormat) -> FourCC {

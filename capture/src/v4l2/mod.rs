@@ -10,6 +10,7 @@
 mod controls;
 mod device;
 mod list;
+mod modes;
 mod options;
 mod stream;
 mod watch;
@@ -29,6 +30,7 @@ use crate::clock::monotonic_ns;
 
 pub use self::controls::ControlInfo;
 pub use self::list::{CameraInfo, list_cameras};
+pub use self::modes::Mode;
 pub use self::options::V4l2Options;
 
 /// A V4L2 camera.
