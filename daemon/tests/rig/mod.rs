@@ -151,7 +151,7 @@ fn until_there<T>(mut open: impl FnMut() -> Result<T, TransportError>) -> T {
     }
 }
 
-/// `grnetd run`, killed when dropped.
+/// `grnetd run`, ended when dropped.
 pub struct Daemon {
     child: Child,
     lines: Receiver<String>,
@@ -217,9 +217,15 @@ impl Daemon {
 }
 
 impl Drop for Daemon {
+    /// Ends it in its own way, so that nothing is left in shared memory.
     fn drop(&mut self) {
-        // Both fail only when it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        if self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+            self.signal(Signal::CONT);
+            self.signal(Signal::TERM);
+            // The log ends when the process ends; one that does not end is killed.
+            while self.lines.recv_timeout(PATIENCE).is_ok() {}
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
     }
 }
