@@ -130,6 +130,15 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
+        // Asked first, so that shared memory is given back; a process that was stopped or hangs is killed.
+        if matches!(self.child.try_wait(), Ok(None)) {
+            self.signal(Signal::CONT);
+            self.signal(Signal::TERM);
+            let deadline = Instant::now() + Duration::from_secs(2);
+            while matches!(self.child.try_wait(), Ok(None)) && Instant::now() < deadline {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

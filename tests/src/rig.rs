@@ -68,6 +68,11 @@ impl Rig {
         Process::start(command)
     }
 
+    /// `grnet-client tail` with these further arguments on this rig's stream; waits for a daemon that is starting.
+    pub fn tail(&self, arguments: &[&str]) -> Process {
+        self.client(&[&["tail", "--wait", "60"], arguments].concat())
+    }
+
     /// `grnet-client` with these arguments on this rig's stream.
     pub fn client(&self, arguments: &[&str]) -> Process {
         let mut command = Command::new(program("grnet-client"));

@@ -9,7 +9,7 @@ use grnet_tests::{Process, Rig, venv_python};
 fn a_stock_python_subscriber_reads_the_same_samples() {
     let rig = Rig::new();
     let _daemon = rig.daemon(&["source.loop=true"]);
-    let mut tail = rig.client(&["tail", "--json"]);
+    let mut tail = rig.tail(&["--json"]);
     tail.json();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/pose_tail.py");
     let mut command = Command::new(venv_python());

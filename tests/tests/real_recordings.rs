@@ -21,7 +21,7 @@ fn stream(name: &str, recording: impl FnOnce(&Path) -> std::path::PathBuf, frame
     let rig = rig.with_checkpoint(&checkpoint);
     let limit = format!("source.frame_limit={frames}");
     let daemon = rig.daemon(&["source.pace=\"max\"", "publish.wait_for_subscribers=1", &limit]);
-    let mut tail = rig.client(&["tail", "--json"]);
+    let mut tail = rig.tail(&["--json"]);
     let mut posed = 0;
     loop {
         let sample = tail.json();

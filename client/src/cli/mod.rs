@@ -85,6 +85,10 @@ pub struct TailArgs {
     #[arg(long)]
     latest: bool,
 
+    /// Wait this long for a daemon that is not there yet
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    wait: Option<Duration>,
+
     /// Show ground truth beside the map pose: a KITTI trajectory of the base, one row per frame of the source
     #[arg(long, value_name = "FILE")]
     reference: Option<PathBuf>,

@@ -17,7 +17,7 @@ const NOTICE_SIGNAL: Duration = Duration::from_millis(100);
 /// Prints samples until the count is reached, the timeout passes, a signal comes or the reader goes.
 pub fn run(connection: &Connection, args: &TailArgs, stop: &AtomicBool) -> anyhow::Result<()> {
     let reference = args.reference.as_deref().map(Reference::read).transpose()?;
-    let mut subscriber = PoseSubscriber::open(connection)?;
+    let Some(mut subscriber) = open(connection, args, stop)? else { return Ok(()) };
     let mut tail = Tail::new(args, reference);
     let result = tail.follow(&mut subscriber, args, stop);
     tail.out.flush()?;
@@ -30,6 +30,27 @@ pub fn run(connection: &Connection, args: &TailArgs, stop: &AtomicBool) -> anyho
         eprintln!("grnet-client: {} samples had no {which} pose and were not printed", tail.hidden);
     }
     result
+}
+
+/// Subscribes; `None` when a signal came while there was no daemon yet.
+fn open(
+    connection: &Connection,
+    args: &TailArgs,
+    stop: &AtomicBool,
+) -> Result<Option<PoseSubscriber>, ClientError> {
+    let started = Instant::now();
+    loop {
+        match PoseSubscriber::open(connection) {
+            Err(ClientError::NoDaemon(_)) if args.wait.is_some_and(|wait| started.elapsed() < wait) => {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
+                // A service that does not exist has no event that could be waited for.
+                std::thread::sleep(NOTICE_SIGNAL);
+            }
+            opened => return opened.map(Some),
+        }
+    }
 }
 
 struct Tail<'args> {
