@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use grnet_frame::{Camera, Distortion};
+use grnet_frame::{Camera, Distortion, PixelFormat};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use crate::raw::*;
@@ -50,9 +50,37 @@ fn optical_to_body() -> Pose {
 }
 
 fn source(raw: RawSource) -> Checked<SourceConfig> {
+    if matches!(raw.kind, RawKind::V4l2) {
+        no_recording(&raw)?;
+    }
     Ok(SourceConfig {
         kind: match raw.kind {
             RawKind::Folder => SourceKind::Folder,
+            RawKind::V4l2 => SourceKind::V4l2,
+        },
+        v4l2: V4l2Config {
+            device: path("source.device", raw.device)?,
+            format: raw.format.map(|format| match format {
+                RawPixelFormat::Yuyv => PixelFormat::Yuyv,
+                RawPixelFormat::Nv12 => PixelFormat::Nv12,
+                RawPixelFormat::Rgb24 => PixelFormat::Rgb8,
+                RawPixelFormat::Grey => PixelFormat::Gray8,
+                RawPixelFormat::Mjpg => PixelFormat::Jpeg,
+            }),
+            size_px: raw
+                .size_px
+                .map(|size| {
+                    let [width, height] = size;
+                    for side in size {
+                        within("source.size_px", side, 1, 16_384)?;
+                    }
+                    Ok::<_, Invalid>((width, height))
+                })
+                .transpose()?,
+            controls: raw.controls.unwrap_or_default(),
+            accept_substitutes: raw.accept_substitutes,
+            buffers: within("source.buffers", raw.buffers, 2, 32)?,
+            stall: Duration::from_millis(within("source.stall_ms", raw.stall_ms, 100, 60_000)?),
         },
         path: path("source.path", raw.path)?,
         layout: match raw.layout {
@@ -90,6 +118,24 @@ fn source(raw: RawSource) -> Checked<SourceConfig> {
         silence: Duration::from_millis(within("source.silence_ms", raw.silence_ms, 50, 60_000)?),
         camera: raw.intrinsics.filter(|raw| !raw.is_empty()).map(intrinsics).transpose()?,
     })
+}
+
+/// Keys that say how a recording is played mean nothing to a camera: refused rather than ignored.
+fn no_recording(raw: &RawSource) -> Checked<()> {
+    let set = [
+        ("source.sequence", raw.sequence.is_some()),
+        ("source.dataset_camera", raw.dataset_camera.is_some()),
+        ("source.pace", !matches!(raw.pace, RawPace::Realtime)),
+        ("source.loop", raw.looped),
+        ("source.first_frame", raw.first_frame != 0),
+        ("source.frame_limit", raw.frame_limit.is_some()),
+    ];
+    match set.into_iter().find(|(_, is_set)| *is_set) {
+        Some((key, _)) => {
+            Err(Invalid { key, problem: "it is for a recording, and source.kind is \"v4l2\"".into() })
+        }
+        None => Ok(()),
+    }
 }
 
 fn intrinsics(raw: RawIntrinsics) -> Checked<Camera> {

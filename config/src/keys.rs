@@ -25,7 +25,7 @@ const TRANSFORM: &str =
 /// Every key, in the order of the commented example.
 pub const KEYS: &[Key] = &[
     key("camera.name", "1 to 31 of a-z A-Z 0-9 _ - . starting with a letter, digit or _"),
-    key("source.kind", "\"folder\""),
+    key("source.kind", "\"folder\" or \"v4l2\""),
     key("source.path", "a folder"),
     key("source.layout", "\"auto\", \"7scenes\", \"kitti\" or \"images\""),
     optional("source.sequence", "the name of one sequence of the dataset"),
@@ -34,6 +34,13 @@ pub const KEYS: &[Key] = &[
     key("source.loop", "true or false"),
     key("source.first_frame", "an integer from 0 (index in the recording)"),
     optional("source.frame_limit", "an integer from 1 (frames)"),
+    key("source.device", "a V4L2 device such as \"/dev/video0\""),
+    optional("source.format", "\"YUYV\", \"NV12\", \"RGB24\", \"GREY\" or \"MJPG\""),
+    optional("source.size_px", "[width, height], integers from 1 to 16384 (pixels)"),
+    optional("source.controls", "{ name = integer, ... } with names that `grnetd devices` lists"),
+    key("source.accept_substitutes", "true or false"),
+    key("source.buffers", "an integer from 2 to 32"),
+    key("source.stall_ms", "an integer from 100 to 60000 (milliseconds)"),
     optional("source.rate_hz", "a number greater than 0 and at most 1000 (frames per second)"),
     key("source.time_offset_ms", "a number from -1000 to 1000 (milliseconds)"),
     key("source.silence_ms", "an integer from 50 to 60000 (milliseconds)"),

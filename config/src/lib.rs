@@ -20,6 +20,7 @@ mod keys;
 mod layers;
 mod raw;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -71,7 +72,9 @@ pub struct SourceConfig {
     pub first_frame: usize,
     /// Number of frames to be played in each round.
     pub frame_limit: Option<usize>,
-    /// Regular times at this rate instead of the recorded or assumed ones.
+    /// The camera.
+    pub v4l2: V4l2Config,
+    /// Regular times at this rate instead of the recorded or assumed ones; the rate that a camera is asked for.
     pub rate_hz: Option<f64>,
     /// Added to every time of capture: the middle of the exposure and the transport delay.
     pub time_offset_ns: i64,
@@ -86,6 +89,27 @@ pub struct SourceConfig {
 pub enum SourceKind {
     /// A folder of images or a dataset.
     Folder,
+    /// A V4L2 camera.
+    V4l2,
+}
+
+/// The keys of `[source]` that hold for `kind = "v4l2"`. Whatever is `None` is left as the driver has it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct V4l2Config {
+    /// Device node, or a stable link to it.
+    pub device: PathBuf,
+    /// Pixel format.
+    pub format: Option<grnet_frame::PixelFormat>,
+    /// Image size (width, height) in pixels.
+    pub size_px: Option<(u32, u32)>,
+    /// Camera controls by name.
+    pub controls: BTreeMap<String, i64>,
+    /// Whether what the driver puts in place of a format, size or rate is taken.
+    pub accept_substitutes: bool,
+    /// Buffers in the driver's queue.
+    pub buffers: u32,
+    /// No frame for so long: the stream is opened anew.
+    pub stall: Duration,
 }
 
 /// `source.layout`.

@@ -1,5 +1,6 @@
 //! What serde reads: every key with its default, not yet checked. The one place of defaults.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -44,6 +45,13 @@ pub(crate) struct RawSource {
     pub looped: bool,
     pub first_frame: usize,
     pub frame_limit: Option<usize>,
+    pub device: PathBuf,
+    pub format: Option<RawPixelFormat>,
+    pub size_px: Option<[u32; 2]>,
+    pub controls: Option<BTreeMap<String, i64>>,
+    pub accept_substitutes: bool,
+    pub buffers: u32,
+    pub stall_ms: u64,
     pub rate_hz: Option<f64>,
     pub time_offset_ms: f64,
     pub silence_ms: u64,
@@ -62,6 +70,13 @@ impl Default for RawSource {
             looped: false,
             first_frame: 0,
             frame_limit: None,
+            device: "/dev/video0".into(),
+            format: None,
+            size_px: None,
+            controls: None,
+            accept_substitutes: false,
+            buffers: 4,
+            stall_ms: 2000,
             rate_hz: None,
             time_offset_ms: 0.0,
             silence_ms: 500,
@@ -74,6 +89,18 @@ impl Default for RawSource {
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RawKind {
     Folder,
+    V4l2,
+}
+
+/// As V4L2 calls them.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub(crate) enum RawPixelFormat {
+    Yuyv,
+    Nv12,
+    Rgb24,
+    Grey,
+    Mjpg,
 }
 
 #[derive(Debug, Deserialize)]

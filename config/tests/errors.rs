@@ -175,3 +175,30 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_camera_is_asked_for_by_format_size_rate_and_controls() {
+    let camera = "[source]\nkind = 'v4l2'\n";
+    let text = format!(
+        "{camera}format = 'RGB24'\nsize_px = [640, 480]\ncontrols = {{ gain = 3 }}\nstall_ms = 100\n"
+    );
+    let config = accept(&text, &["source.controls.brightness=7"]).source;
+    assert_eq!(config.kind, grnet_config::SourceKind::V4l2);
+    assert_eq!(config.v4l2.format.unwrap().to_string(), "RGB24");
+    assert_eq!(config.v4l2.size_px, Some((640, 480)));
+    assert_eq!(config.v4l2.controls, [("brightness".to_owned(), 7)].into(), "an override replaces the key");
+    for (wrong, key) in [
+        ("format = 'H264'", "source.format = 'H264'"),
+        ("size_px = [0, 480]", "source.size_px = [0, 480]"),
+        ("size_px = [480]", "source.size_px = [480]"),
+        ("controls = { gain = 'high' }", "source.controls = {"),
+        ("buffers = 1", "source.buffers = 1: out of range"),
+        ("stall_ms = 99", "source.stall_ms = 99: out of range"),
+        ("loop = true", "source.loop = true: it is for a recording"),
+        ("pace = 'max'", "source.pace = 'max': it is for a recording"),
+        ("frame_limit = 3", "source.frame_limit = 3: it is for a recording"),
+    ] {
+        let error = refuse(&format!("{camera}{wrong}"), &[]);
+        assert!(error.contains("/etc/g.toml:3:") && error.contains(key), "{wrong}: {error}");
+    }
+}

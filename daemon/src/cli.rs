@@ -9,7 +9,7 @@ use grnet_config::{GrnetdConfig, Override};
 
 use crate::failure::Failure;
 use crate::run::Loaded;
-use crate::{check, logging, run, supervisor};
+use crate::{check, devices, logging, run, supervisor};
 
 /// Camera frames in, poses in shared memory out.
 #[derive(Debug, Parser)]
@@ -28,6 +28,12 @@ enum Command {
     Run(Configuration),
     /// Check the configuration to the end (weights, source, shared memory) and say what would run.
     Check(Configuration),
+    /// List the cameras with formats, sizes, rates, controls and the configuration lines for each.
+    Devices {
+        /// One JSON array instead of text.
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 #[derive(Debug, Args)]
@@ -55,6 +61,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Check(configuration) => {
             configuration.load().and_then(|loaded| check::check(&loaded, &mut std::io::stdout().lock()))
         }
+        Command::Devices { json } => devices::devices(json, &mut std::io::stdout().lock()),
     };
     end(result, |failure| eprintln!("grnetd: error: {}", failure.chain()))
 }

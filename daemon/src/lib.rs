@@ -9,6 +9,7 @@
 //! | [`cli`] | command line, exit codes |
 //! | [`setup`] | configuration to model, pipeline, source and transport |
 //! | [`check`] | `grnetd check`: what would run |
+//! | [`devices`] | `grnetd devices`: which cameras there are |
 //! | [`run`] | the threads and their supervision |
 //! | [`capture`], [`worker`], [`publish`], [`control`] | one thread each |
 //! | [`slot`] | between capture and worker: what happens to a frame that nobody has time for |
@@ -25,6 +26,7 @@ pub mod check;
 pub mod cli;
 pub mod control;
 pub mod convert;
+pub mod devices;
 pub mod failure;
 pub mod feed;
 pub mod latency;

@@ -2,10 +2,10 @@
 
 use anyhow::Context as _;
 use grnet_capture::dataset::{self, OpenOptions};
-use grnet_capture::{FolderOptions, FolderSource};
+use grnet_capture::{FolderOptions, FolderSource, V4l2Options, V4l2Source};
 use grnet_config as config;
 use grnet_config::GrnetdConfig;
-use grnet_frame::FrameSource;
+use grnet_frame::{FrameSource, SourceError};
 use grnet_pipeline::{
     AfterRejections, InnovationGate, IntrinsicsOptions, IntrinsicsPolicy, Pipeline, PipelineOptions,
     TimeOptions,
@@ -128,7 +128,36 @@ pub fn pipeline_options(config: &GrnetdConfig) -> PipelineOptions {
 fn open_source(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
     match source.kind {
         config::SourceKind::Folder => open_folder(source),
+        config::SourceKind::V4l2 => open_camera(source),
     }
+}
+
+/// What a configuration asks of a camera.
+fn camera_options(source: &config::SourceConfig) -> V4l2Options {
+    let config::V4l2Config { device, format, size_px, controls, accept_substitutes, buffers, stall } =
+        source.v4l2.clone();
+    V4l2Options {
+        device,
+        format,
+        size_px,
+        rate_hz: source.rate_hz,
+        controls,
+        accept_substitutes,
+        buffers,
+        stall_timeout: stall,
+        camera: source.camera,
+    }
+}
+
+/// A camera that cannot do what is asked fails here; one that is not there, or busy, is waited for.
+fn open_camera(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
+    let options = camera_options(source);
+    let note = match V4l2Source::probe(&options) {
+        Ok(agreed) => format!("the camera gives {agreed}"),
+        Err(error @ SourceError::Lost { .. }) => format!("{error}; it is waited for"),
+        Err(error) => return Err(Failure::config(error)),
+    };
+    Ok((Box::new(V4l2Source::new(options)), vec![note]))
 }
 
 fn open_folder(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
@@ -185,6 +214,24 @@ mod tests {
     #[test]
     fn the_defaults_of_the_configuration_are_those_of_the_pipeline() {
         assert_eq!(pipeline_options(&GrnetdConfig::default()), PipelineOptions::default());
+    }
+
+    #[test]
+    fn the_defaults_of_the_configuration_are_those_of_the_camera_source() {
+        let source = GrnetdConfig::default().source;
+        assert_eq!(camera_options(&source), V4l2Options::new(&source.v4l2.device));
+    }
+
+    #[test]
+    fn an_absent_camera_is_waited_for_and_a_file_is_refused() {
+        let mut source = GrnetdConfig::default().source;
+        source.kind = config::SourceKind::V4l2;
+        source.v4l2.device = "/dev/grnet-test-no-such-camera".into();
+        let (_, notes) = open_source(&source).unwrap();
+        assert!(notes[0].ends_with("it is waited for"), "{notes:?}");
+        source.v4l2.device = "/dev/null".into();
+        let failure = open_source(&source).unwrap_err();
+        assert!(failure.chain().contains("no V4L2 device"), "{}", failure.chain());
     }
 
     #[test]

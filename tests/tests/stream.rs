@@ -106,7 +106,7 @@ fn the_status_tells_what_runs() {
     assert_eq!((&status["camera"], &status["access"]), (&"front".into(), &"user".into()));
     assert_eq!(status["provenance"], "UNTRAINED");
     let (text, exit, _) = rig.client(&["status"]).finish();
-    assert!(exit.success() && text.iter().any(|line| line.contains("untrained")), "{text:#?}");
+    assert!(exit.success() && text.iter().any(|line| line.contains("UNTRAINED")), "{text:#?}");
 }
 
 #[test]
