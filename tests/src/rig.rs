@@ -26,7 +26,11 @@ impl Rig {
         let shared = shared_files();
         // Short: the names of Unix sockets are made from it.
         let folder = tempfile::Builder::new().prefix("grnet-").rand_bytes(5).tempdir_in("/tmp").unwrap();
-        Self { folder, recording: shared.join("recording/seq-01"), checkpoint: shared.join("model.safetensors") }
+        Self {
+            folder,
+            recording: shared.join("recording/seq-01"),
+            checkpoint: shared.join("model.safetensors"),
+        }
     }
 
     /// The same with another recording.
@@ -100,7 +104,11 @@ pub fn program(name: &str) -> PathBuf {
     // target/<profile>/deps/<test> -> target/<profile>/<program>
     let test = std::env::current_exe().unwrap();
     let path = test.parent().and_then(Path::parent).unwrap().join(name);
-    assert!(path.is_file(), "{} is not built: run `cargo build --workspace --bins`, as `make test` does", path.display());
+    assert!(
+        path.is_file(),
+        "{} is not built: run `cargo build --workspace --bins`, as `make test` does",
+        path.display()
+    );
     path
 }
 
@@ -125,7 +133,17 @@ pub fn shared_files() -> PathBuf {
     let _ = fs::remove_dir_all(folder.join("recording"));
     let _ = fs::remove_file(folder.join("model.safetensors"));
     run(&[
-        "synth", "--out", "recording", "--sequences", "1", "--frames", FRAMES, "--size", "160x120", "--texel-mm", "16",
+        "synth",
+        "--out",
+        "recording",
+        "--sequences",
+        "1",
+        "--frames",
+        FRAMES,
+        "--size",
+        "160x120",
+        "--texel-mm",
+        "16",
     ]);
     run(&["init", "--preset", "grnet-small", "--seed", "1", "--out", "model.safetensors"]);
     fs::write(&done, "").unwrap();
@@ -135,7 +153,8 @@ pub fn shared_files() -> PathBuf {
 /// Real recordings, where there are any: `GRNET_DATA`, else `../shared/data` beside the workspace.
 pub fn data_folder() -> Option<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let folder = std::env::var_os("GRNET_DATA").map_or_else(|| workspace.join("../shared/data"), PathBuf::from);
+    let folder =
+        std::env::var_os("GRNET_DATA").map_or_else(|| workspace.join("../shared/data"), PathBuf::from);
     folder.is_dir().then_some(folder)
 }
 

@@ -94,7 +94,8 @@ fn unusable_frames_are_counted_and_the_next_good_one_is_used() {
     fs::write(victim(6), b"").unwrap();
 
     let rig = Rig::with_recording(&folder);
-    let daemon = rig.daemon(&["source.pace=\"max\"", "publish.wait_for_subscribers=1", "source.layout=\"images\""]);
+    let daemon =
+        rig.daemon(&["source.pace=\"max\"", "publish.wait_for_subscribers=1", "source.layout=\"images\""]);
     let mut tail = rig.tail(&["--json"]);
     let mut good = Vec::new();
     loop {

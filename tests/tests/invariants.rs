@@ -28,10 +28,7 @@ const ARROWS: &[(&str, &[&str])] = &[
             "grnet-model",
         ],
     ),
-    (
-        "grnet-train",
-        &["grnet-pipeline", "grnet-model", "grnet-capture", "grnet-geometry", "grnet-frame"],
-    ),
+    ("grnet-train", &["grnet-pipeline", "grnet-model", "grnet-capture", "grnet-geometry", "grnet-frame"]),
     ("grnet-tests", &[]),
 ];
 
@@ -108,7 +105,8 @@ fn the_client_never_links_the_network() {
     let graph = graph(&metadata());
     for name in ["grnet-client", "grnet-proto"] {
         let linked = reachable(&graph, name);
-        let forbidden: Vec<_> = linked.iter().filter(|n| n.starts_with("candle") || *n == "grnet-model").collect();
+        let forbidden: Vec<_> =
+            linked.iter().filter(|n| n.starts_with("candle") || *n == "grnet-model").collect();
         assert!(forbidden.is_empty(), "{name} links {forbidden:?}");
     }
 }
@@ -118,7 +116,8 @@ fn network_geometry_and_pipeline_know_no_wire_types() {
     let graph = graph(&metadata());
     for name in ["grnet-model", "grnet-geometry", "grnet-frame", "grnet-pipeline", "grnet-capture"] {
         let linked = reachable(&graph, name);
-        let wire: Vec<_> = linked.iter().filter(|n| n.starts_with("iceoryx2") || *n == "grnet-proto").collect();
+        let wire: Vec<_> =
+            linked.iter().filter(|n| n.starts_with("iceoryx2") || *n == "grnet-proto").collect();
         assert!(wire.is_empty(), "{name} links {wire:?}");
     }
 }
@@ -160,7 +159,9 @@ fn unsafe_code_stays_behind_its_fences_and_says_why_it_is_sound() {
             }
             let fenced = UNSAFE_FENCES.iter().any(|fence| relative.starts_with(fence));
             assert!(fenced, "{relative}:{}: unsafe code outside {UNSAFE_FENCES:?}", i + 1);
-            let noted = lines[i.saturating_sub(8)..=i].iter().any(|l| l.contains("SAFETY:") || l.contains("# Safety"));
+            let noted = lines[i.saturating_sub(8)..=i]
+                .iter()
+                .any(|l| l.contains("SAFETY:") || l.contains("# Safety"));
             assert!(noted, "{relative}:{}: unsafe code without a SAFETY note", i + 1);
         }
     }

@@ -9,7 +9,12 @@ fn number(value: &Value, key: &str) -> u64 {
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap_or_else(|| panic!("{value} is no list")).iter().map(|v| v.as_f64().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap_or_else(|| panic!("{value} is no list"))
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect()
 }
 
 #[test]
@@ -49,7 +54,8 @@ fn another_process_receives_every_part_of_the_pose() {
 fn a_recording_as_fast_as_possible_loses_nothing_and_repeats_itself_bit_by_bit() {
     let run = || {
         let rig = Rig::new();
-        let daemon = rig.daemon(&["source.pace=\"max\"", "publish.wait_for_subscribers=1", "source.frame_limit=40"]);
+        let daemon =
+            rig.daemon(&["source.pace=\"max\"", "publish.wait_for_subscribers=1", "source.frame_limit=40"]);
         let mut tail = rig.tail(&["--json", "--timeout", "30"]);
         let mut poses = Vec::new();
         loop {
@@ -60,9 +66,16 @@ fn a_recording_as_fast_as_possible_loses_nothing_and_repeats_itself_bit_by_bit()
             if sample["sequence"].is_null() {
                 continue;
             }
-            assert_eq!((&sample["capture_clock"], &sample["latency_us"]["total"]), (&"RECORDED".into(), &Value::Null));
+            assert_eq!(
+                (&sample["capture_clock"], &sample["latency_us"]["total"]),
+                (&"RECORDED".into(), &Value::Null)
+            );
             assert_eq!(number(&sample, "dropped_frames"), 0);
-            poses.push((number(&sample, "sequence"), sample["map_from_base"].to_string(), sample["odom_from_base"].to_string()));
+            poses.push((
+                number(&sample, "sequence"),
+                sample["map_from_base"].to_string(),
+                sample["odom_from_base"].to_string(),
+            ));
         }
         tail.signal(Signal::TERM);
         let (_, status, stderr) = daemon.finish();
@@ -132,7 +145,8 @@ fn many_clients_are_served_and_the_seventeenth_is_told_why_not() {
 fn a_client_links_no_network() {
     let client = std::fs::read(grnet_tests::program("grnet-client")).unwrap();
     let daemon = std::fs::read(grnet_tests::program("grnetd")).unwrap();
-    let has = |bytes: &[u8]| bytes.windows(11).any(|window| window == b"candle-core" || window == b"candle_core");
+    let has =
+        |bytes: &[u8]| bytes.windows(11).any(|window| window == b"candle-core" || window == b"candle_core");
     assert!(has(&daemon), "the needle is not what the linker leaves");
     assert!(!has(&client));
     assert!(shared_files().is_dir());

@@ -72,7 +72,8 @@ impl Reference {
 
     /// Medians over everything counted; `None` when no sample had both poses.
     pub fn summary(&mut self) -> Option<String> {
-        let (count, metres, degrees) = (self.errors_m.len(), median(&mut self.errors_m)?, median(&mut self.errors_deg)?);
+        let (count, metres, degrees) =
+            (self.errors_m.len(), median(&mut self.errors_m)?, median(&mut self.errors_deg)?);
         Some(format!("against the reference: median {metres:.3} m, {degrees:.1} deg over {count} samples"))
     }
 }

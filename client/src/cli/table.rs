@@ -27,8 +27,11 @@ const MAP_ANGLES: [Column; 3] = [
     column("map from base", "pitch", 7),
     column("map from base", "roll", 7),
 ];
-const ODOM: [Column; 3] =
-    [column("odom from base", "x m", 8), column("odom from base", "y m", 8), column("odom from base", "z m", 8)];
+const ODOM: [Column; 3] = [
+    column("odom from base", "x m", 8),
+    column("odom from base", "y m", 8),
+    column("odom from base", "z m", 8),
+];
 const TRUTH: [Column; 3] =
     [column("ground truth", "x m", 8), column("ground truth", "y m", 8), column("ground truth", "z m", 8)];
 const ERROR: [Column; 2] = [column("error", "m", 8), column("error", "deg", 7)];
@@ -124,7 +127,9 @@ fn position(pose: Option<&Pose>) -> [String; 3] {
 
 /// A number, or a dash: an unknown number never looks like one.
 fn number(value: Option<f64>, decimals: usize) -> String {
-    value.filter(|value| value.is_finite()).map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
+    value
+        .filter(|value| value.is_finite())
+        .map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 fn status_style(status: Status) -> Style {
@@ -170,12 +175,16 @@ mod tests {
         let expected = "22:13:21.520 7 TRACKING - - - - - - 1.000 -2.500 0.000 20.0 0";
         assert_eq!(cells(&row), cells(expected));
         let row = Table { reference: true, ..table }.row(&sample(true), 2, None);
-        assert_eq!(cells(&row), cells("22:13:21.520 7 TRACKING 1.000 -2.500 0.000 - - - - - 20.0 0 (2 lost here)"));
+        assert_eq!(
+            cells(&row),
+            cells("22:13:21.520 7 TRACKING 1.000 -2.500 0.000 - - - - - 20.0 0 (2 lost here)")
+        );
     }
 
     #[test]
     fn ground_truth_and_error_stand_beside_the_pose() {
-        let deviation = Deviation { map_from_base: Pose::translation(1.0, 2.0, 3.0), error: Some((0.25, 1.5)) };
+        let deviation =
+            Deviation { map_from_base: Pose::translation(1.0, 2.0, 3.0), error: Some((0.25, 1.5)) };
         let row = Table { colours: false, reference: true }.row(&sample(true), 0, Some(&deviation));
         let expected = "22:13:21.520 7 TRACKING 1.000 -2.500 0.000 1.000 2.000 3.000 0.250 1.5 20.0 0";
         assert_eq!(cells(&row), cells(expected));

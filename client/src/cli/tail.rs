@@ -106,7 +106,8 @@ impl<'args> Tail<'args> {
                     self.announce(&sample);
                     self.take(&sample, subscriber.lost_samples())?;
                     let last_word = matches!(sample.reason(), Reason::SOURCE_ENDED | Reason::STOPPING);
-                    if args.count.is_some_and(|count| self.printed >= count) || (args.until_end && last_word) {
+                    if args.count.is_some_and(|count| self.printed >= count) || (args.until_end && last_word)
+                    {
                         return Ok(());
                     }
                 }
