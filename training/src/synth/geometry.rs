@@ -81,13 +81,13 @@ pub struct Geometry {
 impl Rect {
     /// The side with normal number `normal` (-x, +x, -y, +y, -z, +z) in the plane where a box would have it.
     pub fn of_box(shape: &Cuboid, normal: usize, group: Option<usize>) -> Self {
-        let plane = if normal % 2 == 0 { shape.min } else { shape.max };
+        let plane = if normal.is_multiple_of(2) { shape.min } else { shape.max };
         Self::facing(shape, normal, plane, group)
     }
 
     /// The inside of a room's wall, floor or ceiling number `side`: its normal points inwards.
     pub fn of_room(shape: &Cuboid, side: usize) -> Self {
-        let plane = if side % 2 == 0 { shape.min } else { shape.max };
+        let plane = if side.is_multiple_of(2) { shape.min } else { shape.max };
         Self::facing(shape, side ^ 1, plane, None)
     }
 
@@ -100,7 +100,7 @@ impl Rect {
             4 => ([2, 0, 1], 1.0, 1.0),
             _ => ([2, 0, 1], 1.0, -1.0),
         };
-        let signs = [if normal % 2 == 0 { -1.0 } else { 1.0 }, u_sign, v_sign];
+        let signs = [if normal.is_multiple_of(2) { -1.0 } else { 1.0 }, u_sign, v_sign];
         let mut corner = plane;
         let mut length = [0.0; 2];
         for k in 0..2 {
