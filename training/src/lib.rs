@@ -5,6 +5,6 @@
 pub mod baselines;
 pub mod evaluate;
 pub mod init;
-pub mod score;
 pub mod report;
+pub mod score;
 pub mod synth;

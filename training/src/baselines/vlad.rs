@@ -12,7 +12,10 @@ use super::kmeans::{self, Search};
 use super::retrieval::{describe_training, most_similar, normalise};
 use super::{BaselineError, Predictions, Progress, Task};
 
-const CLUSTERS: usize = 64;
+const CLUSTERS: usize = 32;
+/// Training images for each cluster. The residuals of a cluster that a single image fills cancel: they sum to zero
+/// about their own mean, and say nothing about that image.
+const IMAGES_PER_CLUSTER: usize = 4;
 /// Descriptors that the clusters are learnt from.
 const SAMPLES: usize = 20_000;
 const SEED: u64 = 0;
@@ -51,7 +54,8 @@ fn vocabulary(images: &[Vec<f32>]) -> Option<Vec<Vec<f32>>> {
     } else {
         (0..SAMPLES).map(|_| all[rng.random_range(0..all.len())]).collect()
     };
-    Some(kmeans::centres(&chosen, CLUSTERS, SEED))
+    let clusters = (images.len() / IMAGES_PER_CLUSTER).clamp(1, CLUSTERS);
+    Some(kmeans::centres(&chosen, clusters, SEED))
 }
 
 /// Sums of the residuals of each cluster, each normalised (Arandjelovic and Zisserman, "All about VLAD", CVPR 2013), then
@@ -76,30 +80,41 @@ mod tests {
     use super::super::{Task, View};
     use super::*;
 
-    /// A wall of stripes whose direction changes along it, seen from a camera shifted by `shift_px`.
-    fn stripes(path: &Path, shift_px: u32) {
+    /// A wall of random discs of many sizes and greys, seen from a camera shifted by `shift_px`.
+    fn wall(path: &Path, seed: u64, shift_px: u32) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut disc = || {
+            let (x, y, r) = (rng.random_range(0..360), rng.random_range(0..240), rng.random_range(5..50));
+            (x, y, r, rng.random_range(20..=235))
+        };
+        let discs: Vec<(u32, u32, u32, u8)> = (0..150).map(|_| disc()).collect();
         let grey = |x: u32, y: u32| {
-            let along = f64::from(x + shift_px);
-            let (sin, cos) = (0.3 * (along / 50.0).floor()).sin_cos();
-            (128.0 + 100.0 * (0.5 * (cos * along + sin * f64::from(y))).sin()) as u8
+            // The disc painted last covers the others.
+            let covers = |(cx, cy, r, _): &&(u32, u32, u32, u8)| {
+                cx.abs_diff(x + shift_px).pow(2) + cy.abs_diff(y).pow(2) < r * r
+            };
+            discs.iter().rev().find(covers).map_or(128, |disc| disc.3)
         };
         image::GrayImage::from_fn(320, 240, |x, y| image::Luma([grey(x, y)])).save(path).unwrap();
     }
 
     #[test]
-    fn overlapping_views_are_retrieved_and_blank_walls_refused() {
+    fn walls_are_recognised_and_blank_ones_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let at = |index: u64, shift_px: u32| {
+        let at = |index: u64, seed: u64, shift_px: u32| {
             let image = folder.path().join(format!("{index}.png"));
-            stripes(&image, shift_px);
-            View { image, ..view(0, index, f64::from(shift_px), 0.0) }
+            wall(&image, seed, shift_px);
+            View { image, ..view(0, index, seed as f64, 0.0) }
         };
-        let train = vec![at(0, 0), at(1, 150), at(2, 300), at(3, 450)];
-        let test = vec![at(10, 20), at(11, 140), at(12, 320), at(13, 430)];
+        let train = (0..24).map(|seed| at(seed, seed, 0)).collect();
+        // Shifted by the distance of two descriptors.
+        let seeds = [3, 8, 14, 23];
+        let test = seeds.iter().map(|seed| at(100 + seed, *seed, 16)).collect();
         let task = Task::new(train, test);
         let found = predict(&task, &|| ()).unwrap();
-        let x: Vec<f64> = found.iter().map(|pose| pose.unwrap().translation.vector.x).collect();
-        assert_eq!(x, [0.0, 150.0, 300.0, 450.0]);
+        let recognised: Vec<u64> =
+            found.iter().map(|pose| pose.unwrap().translation.vector.x as u64).collect();
+        assert_eq!(recognised, seeds);
         assert_eq!(found, predict(&task, &|| ()).unwrap());
 
         let blank = folder.path().join("blank.png");

@@ -80,7 +80,7 @@ pub fn add_baselines(
             ),
             BaselineName::Interpolation => add(
                 "interpolated frame number",
-                Knowledge::None,
+                Knowledge::FrameNumbers,
                 "between the training frames before and after; looks at no image, so where it is good the split is easy",
                 Some(baselines::interpolation::predict(task)?),
                 None,

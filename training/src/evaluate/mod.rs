@@ -13,6 +13,9 @@ mod score;
 mod summary;
 mod system;
 
+#[cfg(test)]
+pub(crate) use score::tests::{drive, system as drive_system};
+
 use std::path::PathBuf;
 
 use grnet_capture::dataset::DatasetError;

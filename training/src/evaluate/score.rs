@@ -271,7 +271,7 @@ impl Pool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::baselines::{Task, View};
     use crate::evaluate::{Kind, System};
@@ -279,7 +279,7 @@ mod tests {
     use nalgebra::Vector3;
 
     /// A straight drive of 1 m a frame along z; `index` says which frames of it are tested.
-    fn drive(sequence_frames: &[u64]) -> Data {
+    pub fn drive(sequence_frames: &[u64]) -> Data {
         let view = |index: &u64| View {
             image: format!("{index}.png").into(),
             sequence: 0,
@@ -309,7 +309,7 @@ mod tests {
         Data { path: "drive".into(), recordings: vec![recording], task, notes: Vec::new() }
     }
 
-    fn system(data: &Data, predict: impl Fn(usize, Pose) -> Option<Pose>) -> System {
+    pub fn system(data: &Data, predict: impl Fn(usize, Pose) -> Option<Pose>) -> System {
         let test = data.task.test.iter().enumerate();
         let poses = test.map(|(n, view)| predict(n, view.world_from_camera.unwrap())).collect();
         System { poses: Some(poses), ..System::new("test", Kind::Fused, "") }

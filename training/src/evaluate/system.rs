@@ -29,6 +29,8 @@ pub enum Knowledge {
     None,
     /// Where each block begins, as odometry has to be told.
     FirstPose,
+    /// Between which training frames each frame was taken; it looks at no image.
+    FrameNumbers,
     /// More than any method may know: a bound, not a competitor.
     Truth,
 }

@@ -23,8 +23,9 @@ pub fn page(summary: &Summary, plots: &[Plot]) -> String {
     text.push_str("\n## Scores\n\n");
     text.push_str(&markdown_table(&table(summary, None)));
     text.push_str(
-        "\nBold: the best of those that are told nothing. †: told true poses of the test frames. \
-         ‡: told the true pose of each block's first frame. Medians are over valid frames, recalls over all frames.\n",
+        "\nBold: the best trained method or retrieval that is told nothing about the test frames; knowing a block's start \
+         is fair for RPE, drift and motion. †: told true poses of the test frames. ‡: told the true pose of each block's \
+         first frame. §: sees no image. Medians are over valid frames, recalls over all judged frames.\n",
     );
     if summary.sequences.len() > 1 {
         for (n, sequence) in summary.sequences.iter().enumerate() {
@@ -63,17 +64,27 @@ pub fn page(summary: &Summary, plots: &[Plot]) -> String {
 
 /// What was judged, one sentence each.
 pub fn facts(summary: &Summary) -> Vec<String> {
+    let blocks = match summary.test_blocks {
+        1 => "one block".to_owned(),
+        count => format!("{count} blocks"),
+    };
     let mut facts = vec![
         format!("Tested on {}", summary.sequences.join(", ")),
         format!(
-            "{} test frames in {} block(s), {} with a true pose, {:.1} m of path; state is reset at the start of each block",
-            summary.test_frames, summary.test_blocks, summary.judged_frames, summary.path_m
+            "{} test frames in {}, {} with a true pose, {:.1} m of path; state is reset at the start of each block",
+            summary.test_frames, blocks, summary.judged_frames, summary.path_m
         ),
     ];
     facts.push(match summary.train_frames {
         0 => "No training frames: retrieval cannot be judged".to_owned(),
         frames => format!("{frames} training frames for retrieval"),
     });
+    if summary.systems.iter().all(|system| system.overall.motion.is_none()) {
+        facts.push(format!(
+            "No block holds a pair of frames {} apart: motion cannot be judged over this gap; choose a shorter --gap",
+            summary.gap_frames
+        ));
+    }
     facts.extend(summary.notes.iter().cloned());
     facts
 }
@@ -126,7 +137,9 @@ fn markdown_table(table: &Table) -> String {
 
 fn marked(row: &Row) -> String {
     let untrained = if row.untrained && row.is_model { " (untrained)" } else { "" };
-    let told = if row.knows_truth {
+    let told = if row.knows_numbers {
+        " §"
+    } else if row.knows_truth {
         " †"
     } else if row.knows_start {
         " ‡"

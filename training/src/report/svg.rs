@@ -24,7 +24,7 @@ pub const FONT: &str = "sans-serif";
 /// Size of labels in pixels.
 pub const FONT_PX: i32 = 14;
 /// Width that a character of a label takes on the average, in pixels.
-const CHARACTER_PX: i32 = 8;
+const CHARACTER_PX: i32 = 7;
 
 const INK_TEXT: &str = "#010203";
 const GRID_TEXT: &str = "#040506";
@@ -85,6 +85,13 @@ pub fn inline(svg: &str, title: &str) -> String {
         _ => svg,
     };
     svg.replacen("<svg ", &format!("<svg role=\"img\" aria-label=\"{}\" ", escape(title)), 1)
+}
+
+/// Label of a tick: at most three decimals, none that are zero, no negative zero.
+pub fn tick(value: &f64) -> String {
+    let rounded = (value * 1000.0).round() / 1000.0;
+    // Adding zero turns -0 into 0.
+    format!("{}", rounded + 0.0)
 }
 
 fn escape(text: &str) -> String {
@@ -153,6 +160,14 @@ mod tests {
         assert!(!page.contains("width=\"860\"") && page.contains("viewBox=\"0 0 860 50\""), "{page}");
         let file = standalone(&svg);
         assert!(file.contains("#1d2430") && !file.contains("var(") && file.contains("#ffffff"), "{file}");
+    }
+
+    #[test]
+    fn ticks_are_short() {
+        assert_eq!(
+            [0.1 + 0.2, -1e-17, 5.0, -0.25, 1000.0].map(|v| tick(&v)),
+            ["0.3", "0", "5", "-0.25", "1000"]
+        );
     }
 
     #[test]

@@ -29,6 +29,8 @@ pub struct Row {
     pub knows_truth: bool,
     /// Told where each block begins.
     pub knows_start: bool,
+    /// Told between which training frames each frame was taken.
+    pub knows_numbers: bool,
     pub colour: Option<String>,
     pub cells: Vec<Cell>,
 }
@@ -46,6 +48,8 @@ struct Figure {
     value: fn(&Scores) -> Option<f64>,
     text: fn(f64) -> String,
     higher_is_better: bool,
+    /// Judges places, for which being told a block's start is an advantage; the others judge motion.
+    of_place: bool,
 }
 
 /// The table over all frames, or over one sequence by its number.
@@ -63,10 +67,12 @@ pub fn table(summary: &Summary, sequence: Option<usize>) -> Table {
         .collect();
     let best: Vec<Option<f64>> = figures.iter().map(|figure| best(figure, &all, summary)).collect();
     let rows = all.iter().enumerate().map(|(n, (system, scores))| {
-        let competes = competes(system, summary);
         let cells = figures.iter().zip(&best).map(|(figure, best)| match (figure.value)(scores) {
             None => Cell { text: "–".into(), best: false },
-            Some(value) => Cell { text: (figure.text)(value), best: competes && Some(value) == *best },
+            Some(value) => Cell {
+                text: (figure.text)(value),
+                best: competes(figure, system, summary) && Some(value) == *best,
+            },
         });
         let valid = match system.system.kind {
             Kind::Baseline if scores.valid == 0 => "–".into(),
@@ -81,6 +87,7 @@ pub fn table(summary: &Summary, sequence: Option<usize>) -> Table {
             untrained: info.model.is_some_and(|model| !summary.models[model].trained),
             knows_truth: info.knowledge == Knowledge::Truth,
             knows_start: info.knowledge == Knowledge::FirstPose,
+            knows_numbers: info.knowledge == Knowledge::FrameNumbers,
             colour: (scores.valid > 0).then(|| super::svg::colour_of(n).1.to_owned()),
             cells: std::iter::once(valid).chain(cells).collect(),
         }
@@ -91,14 +98,19 @@ pub fn table(summary: &Summary, sequence: Option<usize>) -> Table {
     Table { rows: rows.collect(), columns }
 }
 
-fn competes(system: &SystemScores, summary: &Summary) -> bool {
+fn competes(figure: &Figure, system: &SystemScores, summary: &Summary) -> bool {
     let untrained = system.system.kind != Kind::Baseline
         && system.system.model.is_some_and(|model| !summary.models[model].trained);
-    system.system.knowledge != Knowledge::Truth && !untrained
+    let fair = match system.system.knowledge {
+        Knowledge::None => true,
+        Knowledge::FirstPose => !figure.of_place,
+        Knowledge::FrameNumbers | Knowledge::Truth => false,
+    };
+    fair && !untrained
 }
 
 fn best(figure: &Figure, all: &[(&SystemScores, Scores)], summary: &Summary) -> Option<f64> {
-    let competitors = all.iter().filter(|(system, _)| competes(system, summary));
+    let competitors = all.iter().filter(|(system, _)| competes(figure, system, summary));
     let values = competitors.filter_map(|(_, scores)| (figure.value)(scores));
     if figure.higher_is_better { values.reduce(f64::max) } else { values.reduce(f64::min) }
 }
@@ -107,12 +119,13 @@ fn figures(gap: usize) -> Vec<Figure> {
     let metres = |v: f64| if v < 10.0 { format!("{v:.3}") } else { format!("{v:.1}") };
     let degrees = |v: f64| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.1}") };
     let percent = |v: f64| format!("{:.1}", 100.0 * v);
-    let figure = |name, unit: &str, value, text, higher_is_better| Figure {
+    let figure = |name: &'static str, unit: &str, value, text, higher_is_better| Figure {
         name,
         unit: unit.to_owned(),
         value,
         text,
         higher_is_better,
+        of_place: ["median", "recall %", "ATE"].contains(&name),
     };
     let over_gap = |unit: &str| format!("{unit}, {gap} frames");
     vec![

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::clip::clip;
-use super::{Drawn, Plot, extent, lines, seconds, truth_entry};
+use super::{Drawn, Plot, TimeAxis, extent, lines, truth_entry};
 use crate::evaluate::Evaluation;
 use crate::report::ReportError;
 use crate::report::svg::{self, FONT, FONT_PX, GRID, INK};
@@ -17,10 +17,10 @@ pub fn draw(
     suffix: &str,
     of: &str,
 ) -> Result<Option<Plot>, ReportError> {
-    let time = |frame| seconds(evaluation, sequence, frame);
+    let axis_of_time = TimeAxis::new(evaluation, sequence);
+    let time = |frame| axis_of_time.of(frame);
     let range = evaluation.data.test_range(sequence);
-    let last_s = range.clone().map(time).fold(0.0, f64::max).max(1e-3);
-    let x = 0.0..last_s;
+    let x = axis_of_time.range();
     let truth_of = |frame: usize| evaluation.data.task.test[frame].world_from_camera;
     if range.clone().all(|frame| truth_of(frame).is_none()) {
         return Ok(None);
@@ -49,15 +49,21 @@ pub fn draw(
                 .build_cartesian_2d(x.clone(), y.clone())?;
             let mut mesh = chart.configure_mesh();
             mesh.light_line_style(TRANSPARENT)
+                .x_label_formatter(&svg::tick)
                 .bold_line_style(GRID)
                 .axis_style(INK)
                 .y_labels(5)
+                .y_label_formatter(&svg::tick)
                 .label_style((FONT, FONT_PX).into_font().color(&INK))
                 .y_desc(name);
             if bottom {
-                mesh.x_desc("time since the first test frame (s)");
+                mesh.x_desc(axis_of_time.label());
             }
             mesh.draw()?;
+            for at in axis_of_time.separators() {
+                let line = [(at, y.start), (at, y.end)];
+                chart.draw_series(DashedLineSeries::new(line, 2, 5, INK.mix(0.4).into()))?;
+            }
             let at = |frame: usize, pose: Option<grnet_geometry::Pose>| Some((time(frame), value(pose?)));
             let truth = lines(evaluation, sequence, |frame| at(frame, truth_of(frame)));
             let estimates = drawn.iter().map(|d| {

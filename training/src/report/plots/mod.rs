@@ -8,6 +8,8 @@ mod kitti;
 mod over_time;
 mod top_view;
 
+use std::ops::Range;
+
 use plotters::style::RGBColor;
 
 use super::ReportError;
@@ -103,11 +105,48 @@ fn truth_entry() -> Entry {
     Entry { label: "ground truth".into(), colour: INK, width: 2 }
 }
 
-/// Seconds since the first test frame of the sequence.
-fn seconds(evaluation: &Evaluation, sequence: usize, frame: usize) -> f64 {
-    let test = &evaluation.data.task.test;
-    let start = evaluation.data.test_range(sequence).start;
-    (test[frame].time_ns as f64 - test[start].time_ns as f64) * 1e-9
+/// The horizontal axis of what is drawn over time: seconds, or the number of the test frame where blocks would leave
+/// most of a time axis empty.
+struct TimeAxis<'a> {
+    evaluation: &'a Evaluation,
+    start: usize,
+    end: usize,
+    /// First frames of the blocks after the first.
+    breaks: Vec<usize>,
+}
+
+impl<'a> TimeAxis<'a> {
+    fn new(evaluation: &'a Evaluation, sequence: usize) -> Self {
+        let range = evaluation.data.test_range(sequence);
+        let starts = evaluation.data.task.blocks().into_iter().map(|block| block.start);
+        let breaks = starts.filter(|start| *start > range.start && *start < range.end).collect();
+        Self { evaluation, start: range.start, end: range.end, breaks }
+    }
+
+    fn of(&self, frame: usize) -> f64 {
+        let test = &self.evaluation.data.task.test;
+        match self.breaks.is_empty() {
+            true => (test[frame].time_ns as f64 - test[self.start].time_ns as f64) * 1e-9,
+            false => (frame - self.start) as f64,
+        }
+    }
+
+    fn range(&self) -> Range<f64> {
+        0.0..(self.start..self.end).map(|frame| self.of(frame)).fold(1e-3, f64::max)
+    }
+
+    fn label(&self) -> &'static str {
+        if self.breaks.is_empty() {
+            "time since the first test frame (s)"
+        } else {
+            "test frame, blocks side by side"
+        }
+    }
+
+    /// Where one block ends and the next begins.
+    fn separators(&self) -> impl Iterator<Item = f64> + '_ {
+        self.breaks.iter().map(|frame| self.of(*frame) - 0.5)
+    }
 }
 
 /// The values of a sequence's test frames as lines that end where a block ends or a value is missing.

@@ -4,7 +4,7 @@ use plotters::prelude::*;
 
 use super::clip::clip;
 use super::distribution::{Part, decades};
-use super::{Drawn, Plot, lines, seconds};
+use super::{Drawn, Plot, TimeAxis, lines};
 use crate::evaluate::{Evaluation, frame_errors};
 use crate::report::ReportError;
 use crate::report::svg::{self, FONT, FONT_PX, GRID, INK};
@@ -20,8 +20,9 @@ pub fn draw(
 ) -> Result<Option<Plot>, ReportError> {
     let errors: Vec<_> = drawn.iter().map(|d| frame_errors(&evaluation.data, d.system)).collect();
     let range = evaluation.data.test_range(sequence);
-    let time = |frame| seconds(evaluation, sequence, frame);
-    let x = 0.0..range.clone().map(time).fold(0.0, f64::max).max(1e-3);
+    let axis_of_time = TimeAxis::new(evaluation, sequence);
+    let time = |frame| axis_of_time.of(frame);
+    let x = axis_of_time.range();
     if errors.iter().all(|errors| errors[range.clone()].iter().all(Option::is_none)) {
         return Ok(None);
     }
@@ -44,15 +45,20 @@ pub fn draw(
                 .build_cartesian_2d(x.clone(), y.clone().log_scale())?;
             let mut mesh = chart.configure_mesh();
             mesh.light_line_style(TRANSPARENT)
+                .x_label_formatter(&svg::tick)
                 .bold_line_style(GRID)
                 .axis_style(INK)
                 .label_style((FONT, FONT_PX).into_font().color(&INK))
                 .y_label_formatter(&|v| format!("{v}"))
                 .y_desc(part.label());
             if bottom {
-                mesh.x_desc("time since the first test frame (s)");
+                mesh.x_desc(axis_of_time.label());
             }
             mesh.draw()?;
+            for at in axis_of_time.separators() {
+                let line = [(at, y.start), (at, y.end)];
+                chart.draw_series(DashedLineSeries::new(line, 2, 5, INK.mix(0.4).into()))?;
+            }
             // Baselines first, so that models lie on top.
             let mut order: Vec<usize> = (0..drawn.len()).collect();
             order.sort_by_key(|n| drawn[*n].system.is_model());

@@ -51,6 +51,8 @@ pub fn draw(
             .bold_line_style(GRID)
             .axis_style(INK)
             .label_style((FONT, FONT_PX).into_font().color(&INK))
+            .x_label_formatter(&svg::tick)
+            .y_label_formatter(&svg::tick)
             .x_desc(format!("{} (m)", AXIS_NAMES[across]))
             .y_desc(format!("{} (m)", AXIS_NAMES[along]))
             .draw()?;
