@@ -131,6 +131,22 @@ impl V4l2Source {
     }
 }
 
+impl V4l2Source {
+    /// Opens the camera, and waits for one that is not there, at most for `timeout`.
+    fn get_back(&mut self, timeout: Duration) -> Result<(), SourceError> {
+        let Err(error) = self.open() else { return Ok(()) };
+        if !matches!(error, SourceError::Lost { .. }) || timeout.is_zero() {
+            return Err(error);
+        }
+        // Absent: wake when the node comes. Present but busy or not yet permitted: look again soon.
+        if self.options.device.exists() {
+            self.watch.sleep(timeout.min(Duration::from_millis(200)));
+            return Err(error);
+        }
+        if self.watch.wait(timeout) { self.open() } else { Err(error) }
+    }
+}
+
 impl FrameSource for V4l2Source {
     fn info(&self) -> SourceInfo {
         SourceInfo {
@@ -146,20 +162,7 @@ impl FrameSource for V4l2Source {
     fn next_frame(&mut self, timeout: Duration) -> Result<Received, SourceError> {
         let deadline = Instant::now() + timeout;
         if matches!(self.state, State::Closed) {
-            if let Err(error) = self.open() {
-                if !matches!(error, SourceError::Lost { .. }) || timeout.is_zero() {
-                    return Err(error);
-                }
-                // Absent: wake when the node comes. Present but busy or not yet permitted: look again soon.
-                if self.options.device.exists() {
-                    self.watch.sleep(timeout.min(Duration::from_millis(200)));
-                    return Err(error);
-                }
-                if !self.watch.wait(timeout) {
-                    return Err(error);
-                }
-                self.open()?;
-            }
+            self.get_back(timeout)?;
         }
         let (State::Open { stream, last_frame, .. }, Some(agreed)) = (&mut self.state, self.agreed) else {
             unreachable!("opened above")
