@@ -78,7 +78,7 @@ mod tests {
             }
             descriptors.len() / LENGTH
         };
-        let checks = |x: u32, y: u32| if (x / 9 + y / 7) % 2 == 0 { 220 } else { 30 };
+        let checks = |x: u32, y: u32| if (x / 9 + y / 7).is_multiple_of(2) { 220 } else { 30 };
         assert_eq!(count(640, 480, &checks), 19 * 14);
         // Wide, small and nearly square images give a grid as well.
         assert_eq!(count(1242, 375, &checks), 19 * 5);

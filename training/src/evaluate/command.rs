@@ -210,9 +210,11 @@ impl EvaluateArgs {
         let mut models = Vec::new();
         for checkpoint in &self.checkpoint {
             for scene in &scenes {
-                let model = LoadedModel::load(checkpoint, *scene).map_err(|source| {
-                    EvaluateError::Checkpoint { path: scene.unwrap_or(checkpoint).to_path_buf(), source }
-                })?;
+                let model =
+                    LoadedModel::load(checkpoint, *scene).map_err(|source| EvaluateError::Checkpoint {
+                        path: scene.unwrap_or(checkpoint).to_path_buf(),
+                        source: Box::new(source),
+                    })?;
                 let shown = scene.filter(|_| scenes.len() > 1).unwrap_or(checkpoint);
                 let name = unique(&mut taken, shown);
                 let files = [Some(checkpoint.as_path()), *scene].into_iter().flatten();

@@ -66,7 +66,7 @@ pub enum EvaluateError {
         path: PathBuf,
         /// What is wrong with it.
         #[source]
-        source: CheckpointError,
+        source: Box<CheckpointError>,
     },
     /// A model cannot be run on this recording.
     #[error("cannot run {model} on {recording}")]
@@ -77,7 +77,7 @@ pub enum EvaluateError {
         recording: String,
         /// What is wrong.
         #[source]
-        source: PipelineError,
+        source: Box<PipelineError>,
     },
     /// The frames cannot be played.
     #[error("cannot play the test frames")]

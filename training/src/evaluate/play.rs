@@ -57,7 +57,7 @@ pub fn play(
         let refused = |source| EvaluateError::Pipeline {
             model: name.into(),
             recording: recording.name.clone(),
-            source,
+            source: Box::new(source),
         };
         let mut pipeline = Pipeline::new(model.clone(), options(recording)).map_err(refused)?;
         if let Some(camera) = &recording.camera {

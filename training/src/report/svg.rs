@@ -30,7 +30,7 @@ const INK_TEXT: &str = "#010203";
 const GRID_TEXT: &str = "#040506";
 
 /// Colours that can be told apart by the colour-blind and read on white and on black (after Okabe and Ito).
-const COLOURS: [(RGBColor, &str); 10] = [
+const COLOURS: [(RGBColor, &str); 14] = [
     (RGBColor(0x2f, 0x7f, 0xd1), "#2f7fd1"),
     (RGBColor(0xd9, 0x5f, 0x0e), "#d95f0e"),
     (RGBColor(0x12, 0x9e, 0x76), "#129e76"),
@@ -41,6 +41,10 @@ const COLOURS: [(RGBColor, &str); 10] = [
     (RGBColor(0x7d, 0x6b, 0xd6), "#7d6bd6"),
     (RGBColor(0x6f, 0x93, 0x2c), "#6f932c"),
     (RGBColor(0x9a, 0x70, 0x4f), "#9a704f"),
+    (RGBColor(0x6b, 0x78, 0x88), "#6b7888"),
+    (RGBColor(0xa8, 0x41, 0x7a), "#a8417a"),
+    (RGBColor(0x4f, 0x8f, 0x8b), "#4f8f8b"),
+    (RGBColor(0xe0, 0x7f, 0x5b), "#e07f5b"),
 ];
 
 /// Colour of the n-th system, for drawing and as text.

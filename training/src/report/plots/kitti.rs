@@ -46,7 +46,8 @@ pub fn draw(evaluation: &Evaluation) -> Result<Option<Plot>, ReportError> {
                 .bold_line_style(GRID)
                 .axis_style(INK)
                 .label_style((FONT, FONT_PX).into_font().color(&INK))
-                .x_label_formatter(&|v| format!("{v:.0}"))
+                .x_label_formatter(&svg::tick)
+                .y_label_formatter(&svg::tick)
                 .x_desc("length of the segment (m)")
                 .y_desc(label)
                 .draw()?;
