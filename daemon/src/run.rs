@@ -162,7 +162,9 @@ fn prepare(config: &GrnetdConfig, signals: &SignalThread) -> Result<Option<Parts
 impl Parts {
     fn log(&self) {
         let info = self.source.info();
-        tracing::info!(source = info.name, kind = ?info.kind, rate_hz = info.nominal_rate_hz, "source");
+        // Intervals are whole nanoseconds; the digits that this costs tell nobody anything.
+        let rate_hz = info.nominal_rate_hz.map(|hz| (hz * 100.0).round() / 100.0);
+        tracing::info!(source = info.name, kind = ?info.kind, rate_hz, "source");
         for note in &self.source_notes {
             tracing::info!(note, "source");
         }
