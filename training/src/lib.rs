@@ -3,6 +3,7 @@
 #![deny(missing_docs)]
 
 pub mod baselines;
+pub mod data;
 pub mod evaluate;
 pub mod init;
 pub mod report;

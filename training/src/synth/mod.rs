@@ -21,7 +21,7 @@ mod geometry;
 mod light;
 mod manifest;
 mod material;
-mod numeric;
+pub(crate) mod numeric;
 mod output;
 mod picture;
 mod render;
@@ -39,6 +39,7 @@ pub use render::RenderTarget;
 pub use scene::{Landmark, Scene, SceneOptions};
 pub use sensor::{FrameKey, Sensor, SensorOptions};
 pub use trajectory::{PathOptions, Trajectory};
+pub(crate) use volume::pose_of;
 pub use volume::{Volume, VolumeKind};
 pub use writer::{ImageFormat, Recipe, Shutter, write};
 

@@ -10,7 +10,7 @@ use super::numeric::sin_cos;
 use super::scene::Scene;
 
 /// The two volumes that the experiments compare.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum VolumeKind {
     /// 1.5 x 1.5 x 0.4 m and yaw +-40 degrees, as in 7-Scenes.
@@ -104,7 +104,7 @@ impl Volume {
 
     /// A place and view at random, allowed or not, `margin_rad` inside the range of angles; without a limit
     /// the yaw lies within half a turn of 0.
-    pub(super) fn draw(&self, rng: &mut ChaCha8Rng, margin_rad: f64) -> [f64; 6] {
+    pub(crate) fn draw(&self, rng: &mut ChaCha8Rng, margin_rad: f64) -> [f64; 6] {
         let (yaw, spread) = self.yaw_rad.map_or((0.0, PI), |(yaw, spread)| (yaw, spread - margin_rad));
         let around =
             |rng: &mut ChaCha8Rng, centre: f64, half: f64| centre + half * rng.random_range(-1.0..1.0);
@@ -122,7 +122,7 @@ impl Volume {
 
 /// `world_from_camera` of (x, y, z, yaw, pitch, roll): yaw about the world's z from its x axis, pitch upwards,
 /// roll clockwise about the optical axis.
-pub(super) fn pose_of(place: &[f64; 6]) -> Isometry3<f64> {
+pub(crate) fn pose_of(place: &[f64; 6]) -> Isometry3<f64> {
     let [x, y, z, yaw, pitch, roll] = *place;
     let ((sy, cy), (sp, cp), (sr, cr)) = (sin_cos(yaw), sin_cos(pitch), sin_cos(roll));
     let forward = nalgebra::Vector3::new(cy * cp, sy * cp, sp);

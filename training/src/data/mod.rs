@@ -1,0 +1,34 @@
+//! What the network is trained on: windows of K neighbouring frames with their poses.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | [`window`] | [`Window`], the trait [`Windows`], and how strides and starts are drawn |
+//! | [`recorded`] | windows cut from a recording's training frames |
+//! | [`rendered`] | windows rendered on the fly in [synthetic rooms](crate::synth) |
+//! | [`mixed`] | several sources with weights |
+//! | [`augment`] | colour, noise, blur, erasing, and camera rotations with the pose corrected |
+//! | [`queue`] | [`Loader`]: worker threads that make batches ahead of the trainer, in order |
+//! | [`statistics`] | poses without images, to learn means and scales from |
+//!
+//! A window is a pure function of its source and its index: there is no state that could differ after a resume, and
+//! neither the number of threads nor the machine changes a bit. Random draws come from ChaCha with the seed as its
+//! key and the index as its stream; curves and rotations use IEEE arithmetic and the `libm` crate only.
+
+pub mod augment;
+mod error;
+mod fingerprint;
+mod image;
+pub mod mixed;
+pub mod queue;
+pub mod recorded;
+pub mod rendered;
+pub mod statistics;
+pub mod window;
+
+pub use augment::{AugmentOptions, Border};
+pub use error::{DataError, FrameError};
+pub use mixed::Mixed;
+pub use queue::{Batch, Loader};
+pub use recorded::{RecordedOptions, RecordedWindows};
+pub use rendered::{RenderedOptions, RenderedWindows};
+pub use window::{Window, WindowOptions, Windows};
