@@ -7,5 +7,6 @@ pub mod data;
 pub mod evaluate;
 pub mod init;
 pub mod report;
+pub mod run;
 pub mod score;
 pub mod synth;

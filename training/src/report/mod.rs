@@ -13,7 +13,7 @@
 mod html;
 mod markdown;
 mod plots;
-mod svg;
+pub(crate) mod svg;
 mod table;
 mod trajectories;
 mod verdict;
