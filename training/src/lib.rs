@@ -6,6 +6,7 @@ pub mod baselines;
 pub mod data;
 pub mod evaluate;
 pub mod init;
+pub mod loss;
 pub mod report;
 pub mod run;
 pub mod score;

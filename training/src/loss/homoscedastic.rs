@@ -1,0 +1,151 @@
+//! Learned weights of the terms of a loss (Kendall & Cipolla, *Geometric Loss Functions for Camera Pose Regression with
+//! Deep Learning*, CVPR 2017, Eq. 6).
+
+use candle_core::{DType, Device, Result, Tensor, Var, bail};
+
+use super::targets::TargetStatistics;
+use super::{Component, Head, Term};
+
+/// Smallest variance that a weight starts from: 1 mm^2 and (0.06 deg)^2.
+const MIN_VARIANCE: f64 = 1e-6;
+
+/// Log-variances `s` of each term of each head: a term `L` counts as `exp(-s) L + s`.
+///
+/// With `L` a mean of squared components this is, up to the constant factor 1/2 that all terms share and that is left
+/// out, the negative log likelihood of Gaussian errors of variance `exp(s)`; its minimum over `s` is at `s = ln L`, so
+/// the weights follow what is left of each error.
+#[derive(Debug, Clone)]
+pub struct Homoscedastic {
+    weights: Vec<(Head, Term, Component, Var)>,
+}
+
+impl Homoscedastic {
+    /// Weights for the given heads with `s` the logarithm of the mean squared deviation of the targets: every term
+    /// starts near 1. Started at 0 they starve translation, whose squares are small where a scene is.
+    ///
+    /// # Errors
+    /// When a statistic is not finite or the variables cannot be made.
+    pub fn initial(statistics: &TargetStatistics, heads: &[Head], device: &Device) -> Result<Self> {
+        let mut weights = Vec::new();
+        for head in heads {
+            for (term, component, variance) in [
+                (Term::Absolute, Component::Translation, statistics.absolute_translation_m2),
+                (Term::Absolute, Component::Rotation, statistics.absolute_rotation_rad2),
+                (Term::Pairs, Component::Translation, statistics.pairs_translation_m2),
+                (Term::Pairs, Component::Rotation, statistics.pairs_rotation_rad2),
+            ] {
+                if *head == Head::Relative && term == Term::Absolute {
+                    continue;
+                }
+                if !variance.is_finite() {
+                    bail!(
+                        "{} cannot start: the targets' variance is {variance}",
+                        name(*head, term, component)
+                    );
+                }
+                let s = variance.max(MIN_VARIANCE).ln() as f32;
+                weights.push((*head, term, component, Var::from_tensor(&Tensor::new(s, device)?)?));
+            }
+        }
+        Ok(Self { weights })
+    }
+
+    /// The variables by name, such as `loss.fused.absolute.translation`.
+    pub fn vars(&self) -> Vec<(String, Var)> {
+        self.weights
+            .iter()
+            .map(|(head, term, component, s)| (name(*head, *term, *component), s.clone()))
+            .collect()
+    }
+
+    /// The standard deviations `exp(s / 2)` that the weights stand for (m or rad), by the same names.
+    ///
+    /// # Errors
+    /// When a variable cannot be read.
+    pub fn deviations(&self) -> Result<Vec<(String, f64)>> {
+        let read = |(name, s): (String, Var)| -> Result<_> {
+            let s = s.to_dtype(DType::F64)?.to_scalar::<f64>()?;
+            Ok((name, (s / 2.0).exp()))
+        };
+        self.vars().into_iter().map(read).collect()
+    }
+
+    /// `exp(-s) loss + s`.
+    pub(super) fn weigh(
+        &self,
+        head: Head,
+        term: Term,
+        component: Component,
+        loss: &Tensor,
+    ) -> Result<Tensor> {
+        let wanted = |w: &&(Head, Term, Component, Var)| (w.0, w.1, w.2) == (head, term, component);
+        let Some((.., s)) = self.weights.iter().find(wanted) else {
+            bail!(
+                "there is no learned weight {}: the weights were made for other heads",
+                name(head, term, component)
+            );
+        };
+        (loss * s.neg()?.exp()?)? + s.as_tensor()
+    }
+}
+
+fn name(head: Head, term: Term, component: Component) -> String {
+    format!("loss.{}.{}.{}", head.name(), term.name(), component.name())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STATISTICS: TargetStatistics = TargetStatistics {
+        absolute_translation_m2: 0.25,
+        absolute_rotation_rad2: 0.04,
+        pairs_translation_m2: 1e-4,
+        pairs_rotation_rad2: 0.0,
+    };
+
+    fn weights(heads: &[Head]) -> Homoscedastic {
+        Homoscedastic::initial(&STATISTICS, heads, &Device::Cpu).unwrap()
+    }
+
+    #[test]
+    fn names_and_starting_deviations() {
+        let deviations = weights(&[Head::Relative, Head::Fused]).deviations().unwrap();
+        let expected = [
+            ("loss.relative.pairs.translation", 0.01),
+            ("loss.relative.pairs.rotation", 0.001),
+            ("loss.fused.absolute.translation", 0.5),
+            ("loss.fused.absolute.rotation", 0.2),
+            ("loss.fused.pairs.translation", 0.01),
+            ("loss.fused.pairs.rotation", 0.001),
+        ];
+        assert_eq!(deviations.len(), expected.len());
+        for ((name, deviation), (expected_name, expected)) in deviations.iter().zip(expected) {
+            assert_eq!(name, expected_name);
+            assert!((deviation - expected).abs() < 1e-6, "{name}: {deviation}");
+        }
+    }
+
+    #[test]
+    fn a_weight_has_its_minimum_at_the_terms_logarithm() {
+        let weights = weights(&[Head::Global]);
+        let loss = Var::new(0.25_f32, &Device::Cpu).unwrap();
+        let value =
+            weights.weigh(Head::Global, Term::Absolute, Component::Translation, loss.as_tensor()).unwrap();
+        assert!((value.to_scalar::<f32>().unwrap() - (1.0 + 0.25_f32.ln())).abs() < 1e-6);
+        let gradients = value.backward().unwrap();
+        let of = |var: &Var| gradients.get(var).unwrap().to_scalar::<f32>().unwrap();
+        assert!(of(&weights.vars()[0].1).abs() < 1e-6);
+        assert!((of(&loss) - 4.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_head_without_weights_and_targets_without_numbers_are_refused() {
+        let loss = Tensor::new(1.0_f32, &Device::Cpu).unwrap();
+        let error = weights(&[Head::Global]).weigh(Head::Fused, Term::Pairs, Component::Rotation, &loss);
+        assert!(error.unwrap_err().to_string().contains("loss.fused.pairs.rotation"));
+        let bad = TargetStatistics { pairs_rotation_rad2: f64::NAN, ..STATISTICS };
+        let error = Homoscedastic::initial(&bad, &[Head::Relative], &Device::Cpu).unwrap_err().to_string();
+        assert!(error.contains("loss.relative.pairs.rotation") && error.contains("NaN"), "{error}");
+    }
+}
