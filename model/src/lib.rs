@@ -26,7 +26,6 @@
 //! assert!(fused.log_variance.is_none(), "an untrained model has no calibrated uncertainty");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-#![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
 pub mod checkpoint;
@@ -39,12 +38,14 @@ pub mod loaded;
 pub mod lstm;
 pub mod metadata;
 pub mod network;
+pub mod ops;
 pub mod pool;
 pub mod preprocessing;
 pub mod rcnn1;
 pub mod rcnn2;
 pub mod recurrence;
 pub mod resnet;
+pub mod statistics;
 pub mod untrained;
 
 mod checkpoint_error;
@@ -65,3 +66,4 @@ pub use metadata::{
 };
 pub use network::{ModelError, Network, StepOutput, StepTensors, StreamState, WindowOutput};
 pub use preprocessing::{Colour, Filter, Preprocessing, ResizePolicy};
+pub use statistics::{BatchStatistics, LayerStatistics};

@@ -14,6 +14,8 @@ use crate::metadata::{HeadState, Heads};
 use crate::rcnn1::Rcnn1;
 use crate::rcnn2::Rcnn2;
 use crate::recurrence::Memory;
+use crate::resnet::Training;
+use crate::statistics::BatchStatistics;
 
 /// Why a network could not be built or run.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +32,16 @@ pub enum ModelError {
         dtype: DType,
         /// What the network reads.
         expected: String,
+    },
+    /// Features of another shape or type than CNN1 gives.
+    #[error("features of shape {found:?} ({dtype:?}); CNN1 gives {expected:?} as F32 for that window")]
+    Features {
+        /// Shape found.
+        found: Vec<usize>,
+        /// Element type found.
+        dtype: DType,
+        /// Shape that the window needs.
+        expected: Vec<usize>,
     },
     /// A tensor operation failed.
     #[error("cannot {action}")]
@@ -159,6 +171,31 @@ impl Network {
         build().map_err(failed("build the network from its weights"))
     }
 
+    /// As [`Network::new`], for training: every operator has a fast gradient. `vb` may hand out variables (trained),
+    /// plain tensors (frozen) and tensors computed from variables.
+    ///
+    /// With `statistics`, every batch norm whose weight is trained normalises by the statistics of its batch and records
+    /// them there; frozen ones, and all without `statistics`, use their running statistics.
+    ///
+    /// # Errors
+    /// As [`Network::new`].
+    pub fn for_training(
+        config: &NetworkConfig,
+        vb: VarBuilder<'_>,
+        statistics: Option<BatchStatistics>,
+    ) -> Result<Self, ModelError> {
+        let mut network = Self::new(config, vb)?;
+        let training = Training { statistics };
+        network.cnn1.train(&training);
+        if let Some(rcnn1) = &mut network.rcnn1 {
+            rcnn1.train(&training);
+        }
+        if let Some(rcnn2) = &mut network.rcnn2 {
+            rcnn2.train(&training);
+        }
+        Ok(network)
+    }
+
     /// The same network, of which only these heads give an output.
     #[must_use]
     pub fn with_live_heads(mut self, live: Heads) -> Self {
@@ -198,10 +235,51 @@ impl Network {
             [batch, frames, 3, h, w]
                 if batch > 0 && frames > 0 && (h, w) == (height, width) && images.dtype() == DType::F32 =>
             {
-                self.window_tensors(images, batch, frames).map_err(failed("run the network over a window"))
+                let run = || {
+                    let features = self.cnn1.forward(&images.flatten(0, 1)?)?; // (B, T, 3, H, W) -> (B * T, C, h, w)
+                    self.window_tensors(&features, batch, frames)
+                };
+                run().map_err(failed("run the network over a window"))
             }
             _ => Err(wrong_images(images, format!("(B, T, 3, {height}, {width})"))),
         }
+    }
+
+    /// CNN1 alone: images (N, 3, H, W) -> features (N, C, h, w).
+    ///
+    /// # Errors
+    /// When the images are of another shape or type, or a tensor operation fails.
+    pub fn features(&self, images: &Tensor) -> Result<Tensor, ModelError> {
+        let (height, width) = (self.config.input_height_px, self.config.input_width_px);
+        match *images.dims() {
+            [n, 3, h, w] if n > 0 && (h, w) == (height, width) && images.dtype() == DType::F32 => {
+                self.cnn1.forward(images).map_err(failed("run CNN1"))
+            }
+            _ => Err(wrong_images(images, format!("(N, 3, {height}, {width})"))),
+        }
+    }
+
+    /// As [`Network::window`] from the features of its frames, (B * T, C, h, w) in the order of [`Tensor::flatten`].
+    ///
+    /// # Errors
+    /// When the features are of another shape or type, or a tensor operation fails.
+    pub fn window_from_features(
+        &self,
+        features: &Tensor,
+        batch: usize,
+        frames: usize,
+    ) -> Result<WindowOutput, ModelError> {
+        let (channels, height, width) = self.config.features_shape();
+        let expected = [batch * frames, channels, height, width];
+        if features.dims() != expected || batch * frames == 0 || features.dtype() != DType::F32 {
+            return Err(ModelError::Features {
+                found: features.dims().to_vec(),
+                dtype: features.dtype(),
+                expected: expected.to_vec(),
+            });
+        }
+        self.window_tensors(features, batch, frames)
+            .map_err(failed("run the network over a window's features"))
     }
 
     /// One frame of a stream: image (1, 3, H, W) -> poses as plain numbers; `state` moves on.
@@ -261,13 +339,13 @@ impl Network {
         Ok(StepTensors { features, relative, global, fused })
     }
 
+    /// The sub-networks on features (B * T, C, h, w).
     fn window_tensors(
         &self,
-        images: &Tensor,
+        features: &Tensor,
         batch: usize,
         frames: usize,
     ) -> candle_core::Result<WindowOutput> {
-        let features = self.cnn1.forward(&images.flatten(0, 1)?)?; // (B, T, 3, H, W) -> (B * T, C, h, w)
         let (_, channels, height, width) = features.dims4()?;
         let fc1 = match &self.rcnn1 {
             Some(rcnn1) => {
@@ -278,14 +356,14 @@ impl Network {
                 }
                 // Frame i - 1 beside frame i, frame 0 beside itself: (B, T, C, h, w) -> (B * T, C, h, w).
                 let previous = Tensor::cat(&parts, 1)?.flatten(0, 1)?;
-                let pooled = rcnn1.pooled(&previous, &features)?; // (B * T, F)
+                let pooled = rcnn1.pooled(&previous, features)?; // (B * T, F)
                 Some(rcnn1.window(&pooled.reshape((batch, frames, ()))?)?) // (B, T, F) -> (B * T, fc1)
             }
             None => None,
         };
         let fc2 = match &self.rcnn2 {
             Some(rcnn2) => {
-                let pooled = rcnn2.pooled(&features)?; // (B * T, F)
+                let pooled = rcnn2.pooled(features)?; // (B * T, F)
                 Some(rcnn2.window(&pooled.reshape((batch, frames, ()))?)?) // (B, T, F) -> (B * T, fc2)
             }
             None => None,

@@ -5,7 +5,7 @@ use candle_core::{Module, Result, Tensor};
 use candle_nn::VarBuilder;
 
 use crate::config::{NetworkConfig, SpatialPool};
-use crate::resnet::ConvBnElu;
+use crate::resnet::{ConvBnElu, Training};
 
 /// Global average pool, or a 1x1 reduction with all positions side by side.
 #[derive(Debug, Clone)]
@@ -27,6 +27,12 @@ impl Pool {
             }
         };
         Ok(Self { reduce })
+    }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        if let Some(reduce) = &mut self.reduce {
+            reduce.train(training);
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use crate::config::NetworkConfig;
 use crate::heads::{HeadTensors, PoseHead};
 use crate::pool::Pool;
 use crate::recurrence::{Memory, Recurrent};
-use crate::resnet::Stage;
+use crate::resnet::{Stage, Training};
 
 /// Features of two frames -> fc1 and the relative pose.
 #[derive(Debug, Clone)]
@@ -40,6 +40,11 @@ impl Rcnn1 {
             fc1: linear(config.lstm_hidden, config.fc1, vb.pp("fc1"))?,
             head: PoseHead::new(config, config.fc1, vb)?,
         })
+    }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.res5.train(training);
+        self.pool.train(training);
     }
 
     /// Features of the previous and of the current frame, (N, C, h, w) each -> pooled (N, F).

@@ -14,7 +14,7 @@ use crate::config::NetworkConfig;
 use crate::heads::{HeadTensors, PoseHead};
 use crate::pool::Pool;
 use crate::recurrence::{Memory, Recurrent};
-use crate::resnet::Stage;
+use crate::resnet::{Stage, Training};
 
 /// Features of one frame -> fc2 and the absolute pose.
 #[derive(Debug, Clone)]
@@ -40,6 +40,11 @@ impl Rcnn2 {
             fc2: linear(config.lstm_hidden, config.fc2, vb.pp("fc2"))?,
             head: PoseHead::new(config, config.fc2, vb)?,
         })
+    }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.res5.train(training);
+        self.pool.train(training);
     }
 
     /// Features of the current frame (N, C, h, w) -> pooled (N, F).

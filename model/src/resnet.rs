@@ -7,6 +7,9 @@
 use candle_core::{Module, Result, Tensor};
 use candle_nn::VarBuilder;
 
+use crate::ops::{self, Activation, ScaleShift};
+use crate::statistics::BatchStatistics;
+
 /// Epsilon of every batch norm, PyTorch's default.
 pub const BATCH_NORM_EPS: f64 = 1e-5;
 
@@ -20,6 +23,7 @@ pub fn needs_downsample(inputs: usize, planes: usize, stride: usize) -> bool {
 pub struct Convolution {
     weight: Tensor,
     stride: usize,
+    training: bool,
 }
 
 impl Convolution {
@@ -34,13 +38,22 @@ impl Convolution {
         stride: usize,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        Ok(Self { weight: vb.get((outputs, inputs, kernel, kernel), "weight")?, stride })
+        let weight = vb.get((outputs, inputs, kernel, kernel), "weight")?;
+        Ok(Self { weight, stride, training: false })
+    }
+
+    /// Computes with the operators that have fast gradients.
+    pub(crate) fn train(&mut self) {
+        self.training = true;
     }
 }
 
 impl Module for Convolution {
     /// (N, inputs, H, W) -> (N, outputs, ceil(H / stride), ceil(W / stride)).
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        if self.training {
+            return ops::conv2d(x, &self.weight, self.stride);
+        }
         let (outputs, inputs, kernel, _) = self.weight.dims4()?;
         if kernel == 1 && self.stride == 1 {
             // One matrix product; candle's convolution copies its input and output element by element around the same
@@ -61,13 +74,22 @@ impl Module for Convolution {
 
 /// Batch norm with running statistics: y = weight (x - running_mean) / sqrt(running_var + eps) + bias per channel.
 ///
-/// Inference only; never looks at the statistics of its input.
+/// Never looks at the statistics of its input, but in training and where a collector of statistics was given.
 #[derive(Debug, Clone)]
 pub struct BatchNorm {
     weight: Tensor,
     bias: Tensor,
     running_mean: Tensor,
     running_var: Tensor,
+    name: String,
+    training: Option<Training>,
+}
+
+/// How the batch norms of a training network normalise.
+#[derive(Debug, Clone)]
+pub(crate) struct Training {
+    /// Takes the statistics of batch norms whose weight is trained; none: all use their running statistics.
+    pub(crate) statistics: Option<BatchStatistics>,
 }
 
 impl BatchNorm {
@@ -81,18 +103,73 @@ impl BatchNorm {
             bias: vb.get(channels, "bias")?,
             running_mean: vb.get(channels, "running_mean")?,
             running_var: vb.get(channels, "running_var")?,
+            name: vb.prefix(),
+            training: None,
         })
+    }
+
+    /// Computes with the operators that have fast gradients.
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.training = Some(training.clone());
+    }
+
+    /// Batch norm, then the residual added, then the activation: (N, channels, H, W) -> the same shape.
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    pub fn forward_with(
+        &self,
+        x: &Tensor,
+        residual: Option<&Tensor>,
+        activation: Activation,
+    ) -> Result<Tensor> {
+        if let Some(training) = &self.training {
+            return self.forward_trained(x, residual, activation, training);
+        }
+        let mut y = self.forward_inference(x)?;
+        if let Some(residual) = residual {
+            y = (y + residual)?;
+        }
+        match activation {
+            Activation::None => Ok(y),
+            Activation::Elu => y.elu(1.0),
+        }
+    }
+
+    fn forward_trained(
+        &self,
+        x: &Tensor,
+        residual: Option<&Tensor>,
+        activation: Activation,
+        training: &Training,
+    ) -> Result<Tensor> {
+        let affine = ScaleShift { weight: &self.weight, bias: &self.bias };
+        match &training.statistics {
+            Some(statistics) if self.weight.track_op() => {
+                let (y, moments) = ops::batch_norm(x, affine, residual, activation)?;
+                statistics.record(&self.name, &moments);
+                Ok(y)
+            }
+            _ => {
+                let (mean, var) = (&self.running_mean, &self.running_var);
+                ops::batch_norm_running(x, affine, mean, var, residual, activation)
+            }
+        }
+    }
+
+    fn forward_inference(&self, x: &Tensor) -> Result<Tensor> {
+        // Scale and shift first: two passes over the map instead of four.
+        let scale = (&self.weight / (&self.running_var + BATCH_NORM_EPS)?.sqrt()?)?;
+        let shift = (&self.bias - (&self.running_mean * &scale)?)?;
+        let per_channel = (1, scale.dim(0)?, 1, 1);
+        x.broadcast_mul(&scale.reshape(per_channel)?)?.broadcast_add(&shift.reshape(per_channel)?)
     }
 }
 
 impl Module for BatchNorm {
     /// (N, channels, H, W) -> the same shape.
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        // Scale and shift first: two passes over the map instead of four.
-        let scale = (&self.weight / (&self.running_var + BATCH_NORM_EPS)?.sqrt()?)?;
-        let shift = (&self.bias - (&self.running_mean * &scale)?)?;
-        let per_channel = (1, scale.dim(0)?, 1, 1);
-        x.broadcast_mul(&scale.reshape(per_channel)?)?.broadcast_add(&shift.reshape(per_channel)?)
+        self.forward_with(x, None, Activation::None)
     }
 }
 
@@ -118,12 +195,17 @@ impl ConvBnElu {
             bn: BatchNorm::new(outputs, bn)?,
         })
     }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.conv.train();
+        self.bn.train(training);
+    }
 }
 
 impl Module for ConvBnElu {
     /// (N, inputs, H, W) -> (N, outputs, ceil(H / stride), ceil(W / stride)).
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.bn.forward(&self.conv.forward(x)?)?.elu(1.0)
+        self.bn.forward_with(&self.conv.forward(x)?, None, Activation::Elu)
     }
 }
 
@@ -159,18 +241,29 @@ impl Bottleneck {
             downsample,
         })
     }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.conv1.train(training);
+        self.conv2.train(training);
+        self.conv3.train();
+        self.bn3.train(training);
+        if let Some((conv, bn)) = &mut self.downsample {
+            conv.train();
+            bn.train(training);
+        }
+    }
 }
 
 impl Module for Bottleneck {
     /// (N, inputs, H, W) -> (N, 4 planes, ceil(H / stride), ceil(W / stride)).
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let y = self.conv2.forward(&self.conv1.forward(x)?)?;
-        let y = self.bn3.forward(&self.conv3.forward(&y)?)?;
-        let sum = match &self.downsample {
-            Some((conv, bn)) => y + bn.forward(&conv.forward(x)?)?,
-            None => y + x,
+        let y = self.conv3.forward(&y)?;
+        let shortcut = match &self.downsample {
+            Some((conv, bn)) => bn.forward(&conv.forward(x)?)?,
+            None => x.clone(),
         };
-        sum?.elu(1.0)
+        self.bn3.forward_with(&y, Some(&shortcut), Activation::Elu)
     }
 }
 
@@ -197,6 +290,10 @@ impl Stage {
             _ => Bottleneck::new(4 * planes, planes, 1, vb.pp(i)),
         };
         Ok(Self { blocks: (0..blocks).map(block).collect::<Result<_>>()? })
+    }
+
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.blocks.iter_mut().for_each(|block| block.train(training));
     }
 }
 
@@ -245,7 +342,8 @@ mod tests {
         for n in [1, 3] {
             let x = tensor(&[n, 6, 5, 7], 1);
             let weight = tensor(&[4, 6, 1, 1], 2);
-            let ours = Convolution { weight: weight.clone(), stride: 1 }.forward(&x).unwrap();
+            let ours =
+                Convolution { weight: weight.clone(), stride: 1, training: false }.forward(&x).unwrap();
             let theirs = x.conv2d(&weight, 0, 1, 1, 1).unwrap();
             let difference = (ours - theirs).unwrap().abs().unwrap().max_all().unwrap();
             assert!(difference.to_dtype(DType::F32).unwrap().to_scalar::<f32>().unwrap() < 1e-5);

@@ -1,0 +1,38 @@
+//! What the batch norms of a training network saw in a batch, for the running averages.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::ops::ChannelMoments;
+
+/// Statistics of one batch norm over one batch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerStatistics {
+    /// The layer, such as `cnn1.layer1.0.bn1`; its averages are `<layer>.running_mean` and `<layer>.running_var`.
+    pub layer: String,
+    /// Mean of every channel.
+    pub mean: Vec<f32>,
+    /// Unbiased variance of every channel, which is what PyTorch averages.
+    pub variance: Vec<f32>,
+}
+
+/// Collects the statistics of a forward pass; clones share one list.
+#[derive(Debug, Clone, Default)]
+pub struct BatchStatistics {
+    collected: Arc<Mutex<Vec<LayerStatistics>>>,
+}
+
+impl BatchStatistics {
+    /// What was collected since the last call, in the order of the forward passes; the list is empty afterwards.
+    pub fn take(&self) -> Vec<LayerStatistics> {
+        std::mem::take(&mut self.collected.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(crate) fn record(&self, layer: &str, moments: &ChannelMoments) {
+        let statistics = LayerStatistics {
+            layer: layer.to_owned(),
+            mean: moments.mean.clone(),
+            variance: moments.unbiased_variance(),
+        };
+        self.collected.lock().unwrap_or_else(PoisonError::into_inner).push(statistics);
+    }
+}
