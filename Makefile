@@ -46,6 +46,13 @@ bench: ## criterion benches (long): geometry, preprocessing, network, publish to
 	@scripts/install-packages build
 	$(CARGO) bench --workspace
 
+.PHONY: bench-training
+bench-training: ## training steps beside PyTorch's, in turns (long; fetches PyTorch once)
+	@scripts/install-packages build
+	@scripts/python-venv torch==2.15.0 numpy==2.4.6
+	$(CARGO) build --release -p grnet-model --example training_step
+	@scripts/bench-training $${CARGO_TARGET_DIR:-target}/release/examples/training_step $${CARGO_TARGET_DIR:-target}/venv/bin/python
+
 .PHONY: data-test
 data-test: ## the tests that read real recordings; they look in $$GRNET_DATA, else in ../shared/data
 	$(CARGO) test --workspace --lib --tests -- --nocapture data_

@@ -2,91 +2,41 @@
 
 mod common;
 
-use std::path::PathBuf;
-
 use candle_core::{Device, Module, Tensor};
 use candle_nn::VarBuilder;
-use common::{difference, frame_for, network, uniform, values, weight};
+use common::golden::Golden;
+use common::{frame_for, network, uniform, values, weight};
 use grnet_model::candle_core::{self, DType};
 use grnet_model::candle_nn;
 use grnet_model::lstm::Lstm;
 use grnet_model::recurrence::Memory;
 use grnet_model::resnet::{Bottleneck, ConvBnElu, max_pool_3x3_stride_2};
 use grnet_model::{HeadTensors, NetworkConfig, Recurrence};
-use safetensors::SafeTensors;
 
 /// Largest difference allowed in a pose, in metres and in raw rotation outputs.
 const POSE: f32 = 1e-4;
 
-struct Golden(Vec<u8>);
-
-impl Golden {
-    fn open(name: &str) -> Self {
-        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
-        Self(std::fs::read(path.with_extension("safetensors")).unwrap())
+fn assert_head(golden: &Golden, prefix: &str, head: &HeadTensors) {
+    golden.assert_close(&format!("{prefix}.translation"), &head.translation, POSE);
+    golden.assert_close(&format!("{prefix}.rotation"), &head.rotation, POSE);
+    let name = format!("{prefix}.log_variance");
+    assert_eq!(head.log_variance.is_some(), golden.has(&name), "{name}");
+    if let Some(log_variance) = &head.log_variance {
+        golden.assert_close(&name, log_variance, POSE);
     }
+}
 
-    fn config(&self) -> NetworkConfig {
-        let (_, header) = SafeTensors::read_metadata(&self.0).unwrap();
-        serde_json::from_str(&header.metadata().as_ref().unwrap()["config"]).unwrap()
+fn assert_memory(golden: &Golden, prefix: &str, memory: &Memory, config: &NetworkConfig) {
+    if config.recurrence == Recurrence::RerunLastK {
+        assert!(memory.lstm_state().is_none() && memory.cached_frames() > 0);
+        return;
     }
-
-    fn has(&self, name: &str) -> bool {
-        SafeTensors::deserialize(&self.0).unwrap().names().contains(&name)
-    }
-
-    fn f32s(&self, name: &str) -> Vec<f32> {
-        let file = SafeTensors::deserialize(&self.0).unwrap();
-        let bytes = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}")).data();
-        bytes.as_chunks::<4>().0.iter().map(|w| f32::from_le_bytes(*w)).collect()
-    }
-
-    fn norm(&self, name: &str) -> f64 {
-        let file = SafeTensors::deserialize(&self.0).unwrap();
-        let bytes = file.tensor(&format!("{name}.norm")).unwrap().data();
-        f64::from_le_bytes(bytes.try_into().unwrap())
-    }
-
-    /// Every n-th value and the norm; the allowed difference is relative to the root mean square.
-    fn assert_summary(&self, name: &str, ours: &[f32], relative: f64) {
-        let theirs = self.f32s(&format!("{name}.sample"));
-        let step = (ours.len() / 256).max(1);
-        let sampled: Vec<f32> = ours.iter().copied().step_by(step).collect();
-        let norm = self.norm(name);
-        let allowed = relative * norm / (ours.len() as f64).sqrt();
-        let found = difference(&sampled, &theirs);
-        assert!(f64::from(found) < allowed, "{name} differs by {found}, {allowed} allowed");
-        let our_norm = ours.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-        assert!((our_norm - norm).abs() < relative * norm, "norm of {name}: {our_norm}, {norm} expected");
-    }
-
-    fn assert_close(&self, name: &str, ours: &Tensor, allowed: f32) {
-        let found = difference(&values(ours), &self.f32s(name));
-        assert!(found < allowed, "{name} differs by {found}, {allowed} allowed");
-    }
-
-    fn assert_head(&self, prefix: &str, head: &HeadTensors) {
-        self.assert_close(&format!("{prefix}.translation"), &head.translation, POSE);
-        self.assert_close(&format!("{prefix}.rotation"), &head.rotation, POSE);
-        let name = format!("{prefix}.log_variance");
-        assert_eq!(head.log_variance.is_some(), self.has(&name), "{name}");
-        if let Some(log_variance) = &head.log_variance {
-            self.assert_close(&name, log_variance, POSE);
-        }
-    }
-
-    fn assert_memory(&self, prefix: &str, memory: &Memory, config: &NetworkConfig) {
-        if config.recurrence == Recurrence::RerunLastK {
-            assert!(memory.lstm_state().is_none() && memory.cached_frames() > 0);
-            return;
-        }
-        let layers = memory.lstm_state().unwrap().layers();
-        let all = |of: fn(&(Tensor, Tensor)) -> &Tensor| {
-            layers.iter().flat_map(|layer| values(of(layer))).collect::<Vec<_>>()
-        };
-        self.assert_summary(&format!("{prefix}.h"), &all(|l| &l.0), 1e-3);
-        self.assert_summary(&format!("{prefix}.c"), &all(|l| &l.1), 1e-3);
-    }
+    let layers = memory.lstm_state().unwrap().layers();
+    let all = |of: fn(&(Tensor, Tensor)) -> &Tensor| {
+        layers.iter().flat_map(|layer| values(of(layer))).collect::<Vec<_>>()
+    };
+    golden.assert_summary(&format!("{prefix}.h"), &all(|l| &l.0), 1e-3);
+    golden.assert_summary(&format!("{prefix}.c"), &all(|l| &l.1), 1e-3);
 }
 
 /// Streams the frames of a golden file; `reset_before` names frames before which the state is reset.
@@ -101,11 +51,11 @@ fn stream(name: &str, frames: usize, reset_before: &[usize]) -> NetworkConfig {
         }
         let output = network.step_tensors(&frame_for(&config, t), &mut state).unwrap();
         golden.assert_summary(&format!("{t}.features"), &values(&output.features), 1e-4);
-        golden.assert_memory(&format!("{t}.relative"), state.relative(), &config);
-        golden.assert_memory(&format!("{t}.global"), state.global(), &config);
-        golden.assert_head(&format!("{t}.relative"), &output.relative.unwrap());
-        golden.assert_head(&format!("{t}.global"), &output.global.unwrap());
-        golden.assert_head(&format!("{t}.fused"), &output.fused.unwrap());
+        assert_memory(&golden, &format!("{t}.relative"), state.relative(), &config);
+        assert_memory(&golden, &format!("{t}.global"), state.global(), &config);
+        assert_head(&golden, &format!("{t}.relative"), &output.relative.unwrap());
+        assert_head(&golden, &format!("{t}.global"), &output.global.unwrap());
+        assert_head(&golden, &format!("{t}.fused"), &output.fused.unwrap());
     }
     assert!(!golden.has(&format!("{frames}.fused.translation")), "the golden file has more frames");
     config

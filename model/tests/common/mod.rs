@@ -1,6 +1,8 @@
 //! Helpers of the integration tests: weights and images from a formula, a tiny network.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+pub mod golden;
+
 use std::collections::HashMap;
 
 use grnet_model::candle_core::{DType, Device, Tensor};

@@ -67,14 +67,19 @@ def frame(t, height, width):
 
 
 class Weights:
-    """Tensors by name, made on first use; the shape is stated where it is used."""
+    """Tensors by name, made on first use; the shape is stated where it is used.
 
-    def __init__(self):
-        self.made = {}
+    Those that `trained` holds for take part in gradients; batch norms among them use the statistics of the batch, which
+    `statistics` keeps as (mean, unbiased variance).
+    """
+
+    def __init__(self, trained=lambda name: False):
+        self.made, self.trained, self.statistics = {}, trained, {}
 
     def __call__(self, name, *shape):
         if name not in self.made:
-            self.made[name] = weight(name, shape)
+            made = weight(name, shape).to(torch.get_default_dtype())
+            self.made[name] = made.requires_grad_(self.trained(name) and ".running_" not in name)
         assert tuple(self.made[name].shape) == shape, name
         return self.made[name]
 
@@ -82,7 +87,12 @@ class Weights:
 def batch_norm(w, x, name):
     c = x.shape[1]
     mean, var = w(f"{name}.running_mean", c), w(f"{name}.running_var", c)
-    return F.batch_norm(x, mean, var, w(f"{name}.weight", c), w(f"{name}.bias", c), training=False, eps=1e-5)
+    trained = w.trained(name)
+    if trained:
+        mean, var = w.statistics[name] = mean.clone(), var.clone()
+    # Momentum 1 leaves the statistics of the batch in the running ones.
+    scale, shift = w(f"{name}.weight", c), w(f"{name}.bias", c)
+    return F.batch_norm(x, mean, var, scale, shift, training=trained, momentum=1.0, eps=1e-5)
 
 
 def conv_bn(w, x, conv, bn, outputs, kernel, stride):
@@ -133,6 +143,16 @@ def lstm(w, name, inputs, hidden, layers):
     return module
 
 
+def pooled(w, config, name, x):
+    """Res5 of RCNN1 or RCNN2, and what the LSTM reads of its map."""
+    y = stage(w, x, f"{name}.res5", channels(config, config["res5_channels"] // 4), 3, 2)
+    pool = config["spatial_pool"]
+    if pool == "average":
+        return F.adaptive_avg_pool2d(y, 1).flatten(1)
+    outputs = pool["flatten"]["channels"]
+    return F.elu(conv_bn(w, y, f"{name}.reduce.conv", f"{name}.reduce.bn", outputs, 1, 1)).flatten(1)
+
+
 class Branch:
     """RCNN1 or RCNN2 as a stream."""
 
@@ -146,13 +166,7 @@ class Branch:
 
     def step(self, x):
         w, config = self.w, self.config
-        y = stage(w, x, f"{self.name}.res5", channels(config, config["res5_channels"] // 4), 3, 2)
-        pool = config["spatial_pool"]
-        if pool == "average":
-            y = F.adaptive_avg_pool2d(y, 1).flatten(1)
-        else:
-            name, outputs = f"{self.name}.reduce", pool["flatten"]["channels"]
-            y = F.elu(conv_bn(w, y, f"{name}.conv", f"{name}.bn", outputs, 1, 1)).flatten(1)
+        y = pooled(w, config, self.name, x)
         if self.lstm is None:
             self.lstm = lstm(w, f"{self.name}.lstm", y.shape[1], config["lstm_hidden"], config["lstm_layers"])
         if config["recurrence"] == "carry":
@@ -176,10 +190,10 @@ def heads(w, config, x, name):
 # --- the cases ------------------------------------------------------------------------------------------------------
 
 
-def summary(out, name, tensor):
+def summary(out, name, tensor, samples=SAMPLES):
     """Every n-th value of a large tensor, and its Euclidean norm."""
-    flat = tensor.flatten()
-    out[f"{name}.sample"] = flat[:: max(1, flat.numel() // SAMPLES)].clone()
+    flat = tensor.detach().flatten()
+    out[f"{name}.sample"] = flat[:: max(1, flat.numel() // samples)].float().clone()
     out[f"{name}.norm"] = flat.double().norm().reshape(1)
 
 
