@@ -5,6 +5,7 @@
 pub mod baselines;
 pub mod data;
 pub mod evaluate;
+pub mod import;
 pub mod init;
 pub mod loss;
 pub mod report;
