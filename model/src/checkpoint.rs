@@ -176,6 +176,12 @@ impl Checkpoint {
         Self::from_parts(self.metadata, tensors, self.origin)
     }
 
+    /// Element type of the weights; single precision where a file mixes both.
+    pub fn storage(&self) -> Storage {
+        let half = self.tensors.values().all(|tensor| tensor.dtype_name() == "F16");
+        if half && !self.tensors.is_empty() { Storage::F16 } else { Storage::F32 }
+    }
+
     /// The weights as f32 tensors on a device, by name.
     ///
     /// # Errors

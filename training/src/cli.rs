@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use grnet_train::{evaluate, init, score, synth};
+use grnet_train::{evaluate, init, score, synth, train};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -18,6 +18,8 @@ enum Command {
     Synth(synth::command::SynthArgs),
     /// Write a checkpoint with drawn weights.
     Init(init::InitArgs),
+    Train(train::command::TrainArgs),
+    Scene(train::scene::SceneArgs),
     Score(score::ScoreArgs),
     Evaluate(evaluate::command::EvaluateArgs),
 }
@@ -28,6 +30,8 @@ impl Cli {
         match self.command {
             Command::Synth(args) => synth::command::run(&args),
             Command::Init(args) => init::run(&args),
+            Command::Train(args) => train::command::run(&args),
+            Command::Scene(args) => train::scene::run(&args),
             Command::Score(args) => score::run(&args),
             Command::Evaluate(args) => evaluate::command::run(&args),
         }

@@ -65,7 +65,7 @@ fn camera_of(recording: &std::path::Path) -> anyhow::Result<Camera> {
     })
 }
 
-fn intrinsics(camera: &Camera) -> CameraIntrinsics {
+pub(crate) fn intrinsics(camera: &Camera) -> CameraIntrinsics {
     let ((width_px, height_px), (fx_px, fy_px), (cx_px, cy_px)) =
         (camera.size_px(), camera.focal_px(), camera.centre_px());
     let distortion = match camera.distortion() {

@@ -6,6 +6,7 @@
 //! | [`recorded`] | windows cut from a recording's training frames |
 //! | [`rendered`] | windows rendered on the fly in [synthetic rooms](crate::synth) |
 //! | [`mixed`] | several sources with weights |
+//! | [`echo`] | windows shown several times |
 //! | [`augment`] | colour, noise, blur, erasing, and camera rotations with the pose corrected |
 //! | [`queue`] | [`Loader`]: worker threads that make batches ahead of the trainer, in order |
 //! | [`statistics`] | poses without images, to learn means and scales from |
@@ -15,6 +16,7 @@
 //! key and the index as its stream; curves and rotations use IEEE arithmetic and the `libm` crate only.
 
 pub mod augment;
+pub mod echo;
 mod error;
 mod fingerprint;
 mod image;
@@ -26,6 +28,7 @@ pub mod statistics;
 pub mod window;
 
 pub use augment::{AugmentOptions, Border};
+pub use echo::Echoed;
 pub use error::{DataError, FrameError};
 pub use mixed::Mixed;
 pub use queue::{Batch, Loader};

@@ -65,12 +65,14 @@ pub struct EvaluateArgs {
 }
 
 /// Layouts by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum LayoutName {
     /// Found out from the folder's content.
     Auto,
     /// Microsoft 7-Scenes.
     #[value(name = "7scenes")]
+    #[serde(rename = "7scenes")]
     SevenScenes,
     /// KITTI odometry.
     Kitti,

@@ -50,6 +50,7 @@ use serde::{Deserialize, Serialize};
 
 pub use homoscedastic::Homoscedastic;
 pub use pairs::pairs;
+pub(crate) use targets::mean_rotation;
 pub use targets::{TargetStatistics, Targets};
 pub use uncertainty::uncertainty_loss;
 
@@ -85,6 +86,12 @@ impl Head {
             Self::Global => "global",
             Self::Fused => "fused",
         }
+    }
+}
+
+impl std::fmt::Display for Head {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
     }
 }
 

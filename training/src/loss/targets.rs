@@ -119,7 +119,7 @@ impl TargetStatistics {
 
 /// The rotation with the smallest sum of squared quaternion distances (signs chosen nearest): the leading eigenvector of
 /// `sum q q^T` (Markley et al., *Averaging Quaternions*, JGCD 2007).
-fn mean_rotation(poses: &[&Pose]) -> UnitQuaternion<f64> {
+pub(crate) fn mean_rotation(poses: &[&Pose]) -> UnitQuaternion<f64> {
     let q_q = poses.iter().map(|p| p.rotation.coords * p.rotation.coords.transpose());
     let sum = q_q.sum::<Matrix4<f64>>().symmetric_eigen();
     match sum.eigenvalues.imax() {

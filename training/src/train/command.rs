@@ -1,0 +1,181 @@
+//! `grnet-train train`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use candle_core::Device;
+use clap::Args;
+use grnet_model::{Checkpoint, Heads};
+
+use super::calibrate::{Calibration, calibrate};
+use super::config::Recipe;
+use super::export::{self, Facts};
+use super::initial::{self, Initial};
+use super::sources::Sources;
+use super::trainer::{Outcome, Trainer};
+use crate::loss::Head;
+use crate::run::{RunFolder, RunIdentity, stop_flag};
+
+/// Train a network as a recipe says, all stages in a row.
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// The recipe.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Folder of the run [default: runs/NAME-OF-THE-RECIPE].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Go on with the run in the folder; a finished one only writes its checkpoint again.
+    #[arg(long)]
+    pub resume: bool,
+    /// Computing threads, instead of the recipe's.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the recipe, the data or the folder cannot be used, or the training fails; what was saved stays good.
+pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    let (mut recipe, text) = Recipe::read(&args.config)?;
+    recipe.threads = args.threads.map(usize::from).or(recipe.threads);
+    let out = args.out.clone().unwrap_or_else(|| {
+        let stem = args.config.file_stem().unwrap_or_else(|| args.config.as_os_str());
+        Path::new("runs").join(stem)
+    });
+    let run = Run { recipe, text, origin: args.config.clone(), out, resume: args.resume };
+    if let Some(trained) = run.train()? {
+        trained.save_complete(&run.out)?;
+    }
+    Ok(())
+}
+
+/// A recipe with the folder that it is run in.
+#[derive(Debug)]
+pub struct Run {
+    /// The recipe.
+    pub recipe: Recipe,
+    /// Its text, as kept in the folder.
+    pub text: String,
+    /// Where it was read from.
+    pub origin: PathBuf,
+    /// Folder of the run.
+    pub out: PathBuf,
+    /// Whether a run there is gone on with.
+    pub resume: bool,
+}
+
+/// What a finished training gives.
+#[derive(Debug)]
+pub struct Trained {
+    /// The complete checkpoint.
+    pub checkpoint: Checkpoint,
+    calibration: BTreeMap<Head, Calibration>,
+}
+
+impl Run {
+    /// Trains to the end; none when it was stopped before.
+    ///
+    /// # Errors
+    /// As [`run`].
+    pub fn train(&self) -> anyhow::Result<Option<Trained>> {
+        let threads = match self.recipe.threads {
+            Some(threads) => threads,
+            None => std::thread::available_parallelism().context("cannot count the cores")?.get(),
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+        pool.install(|| self.train_here(threads))
+    }
+
+    fn train_here(&self, threads: usize) -> anyhow::Result<Option<Trained>> {
+        let device = Device::Cpu;
+        let recipe = &self.recipe;
+        let (network, preprocessing, checkpoint) = initial::plan(recipe, &self.origin)?;
+        let sources = Sources::open(recipe, &network, &preprocessing)?;
+        for line in sources.describe() {
+            eprintln!("{line}");
+        }
+        let start =
+            initial::weights(recipe, &network, &preprocessing, checkpoint, sources.normalisation(), &device)?;
+        let identity = RunIdentity {
+            config_toml: self.text.clone(),
+            seed: recipe.seed,
+            fingerprint: sources.fingerprint(),
+            threads,
+            details: start.source.iter().map(|hash| ("initial weights".to_owned(), hash.clone())).collect(),
+        };
+        let folder = match self.resume {
+            true => RunFolder::resume(&self.out, &identity)?,
+            false => RunFolder::create(&self.out, &identity)?,
+        };
+        let Initial { parameters, metadata, heads, .. } = start;
+        let mut trainer = Trainer::new(recipe, &sources, parameters, folder, device.clone())?;
+        if trainer.run(&stop_flag())? == Outcome::Stopped {
+            eprintln!("the run is saved in {}; go on with --resume", self.out.display());
+            return Ok(None);
+        }
+        let trained = export::trained_heads(heads, &recipe.stages);
+        let steps = trainer.steps();
+        let (mut parameters, validator) = trainer.into_parts();
+        let calibration = match &validator {
+            Some(validator) => calibrate(&mut parameters, validator, newly(trained, heads, recipe), &device)?,
+            None => BTreeMap::new(),
+        };
+        let facts = Facts {
+            heads: export::only_calibrated(trained, &calibration, heads),
+            camera: sources.camera(),
+            fingerprint: sources.fingerprint(),
+            steps,
+            calibration: calibration.clone(),
+        };
+        let checkpoint = export::checkpoint(&parameters, recipe, &facts, &metadata)?;
+        Ok(Some(Trained { checkpoint, calibration }))
+    }
+}
+
+/// The heads that this run trained: those of a frozen trunk keep their own calibration.
+fn newly(trained: Heads, before: Heads, recipe: &Recipe) -> Heads {
+    let off = grnet_model::HeadState::default();
+    let weighed = recipe.heads();
+    let pick = |head, now, was| if weighed.contains(&head) || now != was { now } else { off };
+    Heads {
+        relative: pick(Head::Relative, trained.relative, before.relative),
+        global: pick(Head::Global, trained.global, before.global),
+        fused: pick(Head::Fused, trained.fused, before.fused),
+    }
+}
+
+impl Trained {
+    /// Writes `model.safetensors`, and where there is a place, `trunk.safetensors` and `scene.safetensors` beside it.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn save_complete(&self, folder: &Path) -> anyhow::Result<()> {
+        let model = folder.join("model.safetensors");
+        self.checkpoint.save(&model)?;
+        println!("{}: content {}", model.display(), &self.checkpoint.content_hash()[..12]);
+        if self.checkpoint.metadata().network.branches.global {
+            let (trunk, scene) = self.checkpoint.clone().split()?;
+            for (part, name) in [(trunk, "trunk.safetensors"), (scene, "scene.safetensors")] {
+                part.save(&folder.join(name))?;
+                println!("{}: content {}", folder.join(name).display(), &part.content_hash()[..12]);
+            }
+        }
+        self.print_calibration();
+        Ok(())
+    }
+
+    /// Prints what the calibration found.
+    pub fn print_calibration(&self) {
+        for (head, found) in &self.calibration {
+            let [one, two, three] = found.within_sigmas.map(|share| 100.0 * share);
+            println!(
+                "uncertainty of the {head} pose: NEES {:.1} before, {:.1} after calibration (6 is right); within 1, 2, 3 sigmas \
+                 {one:.0} %, {two:.0} %, {three:.1} % (68, 95, 99.7 are right)",
+                found.nees[0], found.nees[1]
+            );
+        }
+    }
+}

@@ -1,0 +1,286 @@
+//! `grnet-train train` and `grnet-train scene` as processes, on a network small enough for a test.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use grnet_capture::{FolderSource, Pace, dataset};
+use grnet_frame::{FrameSource as _, Received};
+use grnet_geometry::{Pose, quaternion, se3};
+use grnet_model::candle_core::{Device, Tensor};
+use grnet_model::{Checkpoint, Kind, LoadedModel};
+use grnet_pipeline::{NoObserver, Pipeline, PipelineOptions};
+
+/// Every stage of the paper on a room of its own, two threads, saved after each step.
+const RECIPE: &str = r#"
+seed = 3
+threads = 2
+save_every_s = 0
+half_precision = true
+scene = { id = "room-1" }
+
+[network]
+preset = "grnet-small"
+width = 0.125
+input_height_px = 48
+input_width_px = 64
+lstm_hidden = 32
+fc1 = 32
+fc2 = 32
+fc3 = 32
+
+[data.room.rendered]
+rooms = [1]
+size_px = [64, 48]
+texel_mm = 40.0
+window = { k = 3, strides = [2, 4] }
+
+[data.held_out.rendered]
+rooms = [1]
+size_px = [64, 48]
+texel_mm = 40.0
+window = { k = 3, strides = [3], seed = 9 }
+augment = {}
+
+[validation]
+data = "held_out"
+windows = 24
+every_steps = 5
+
+[[stage]]
+name = "relative"
+data = "room"
+train = ["cnn1", "rcnn1"]
+loss = { relative = 1.0, uncertainty = 0.1 }
+steps = 4
+batch = 4
+
+[[stage]]
+name = "global"
+data = "room"
+train = ["rcnn2"]
+loss = { global = 1.0, uncertainty = 0.1 }
+steps = 4
+batch = 4
+cached_windows = 12
+
+[[stage]]
+name = "joint"
+data = "room"
+train = ["cnn1", "rcnn1", "rcnn2", "fcfl"]
+loss = { relative = 1.0, global = 1.0, fused = 1.0, uncertainty = 0.1 }
+steps = 4
+batch = 4
+echo = 2
+"#;
+
+fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_grnet-train"));
+    command.stdin(Stdio::null());
+    command
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn train(recipe: &Path, out: &Path, more: &[&str]) -> Output {
+    program().arg("train").arg("--config").arg(recipe).arg("--out").arg(out).args(more).output().unwrap()
+}
+
+fn assert_ok(output: &Output) {
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{out}\n{err}");
+}
+
+fn refused(output: &Output, expected: &[&str]) {
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{error}");
+    for text in expected {
+        assert!(error.contains(text), "\"{text}\" in {error}");
+    }
+}
+
+#[test]
+fn a_run_that_was_killed_again_and_again_ends_with_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = write(folder.path(), "all-stages.toml", RECIPE);
+    let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
+    assert_ok(&train(&recipe, &whole, &[]));
+
+    // One kill in each stage and one while features are computed, each once the log shows some progress.
+    let mut resume = false;
+    for step in [2, 5, 9] {
+        let mut command = program();
+        command.arg("train").arg("--config").arg(&recipe).arg("--out").arg(&killed);
+        if resume {
+            command.arg("--resume");
+        }
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let limit = Instant::now() + Duration::from_secs(120);
+        while saved_step(&killed) < step {
+            assert!(Instant::now() < limit, "no state of step {step} within two minutes");
+            assert!(child.try_wait().unwrap().is_none(), "it ended before step {step}");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        resume = true;
+    }
+    assert_ok(&train(&recipe, &killed, &["--resume"]));
+    for name in ["model.safetensors", "trunk.safetensors", "scene.safetensors"] {
+        let bytes = |run: &Path| std::fs::read(run.join(name)).unwrap();
+        assert!(bytes(&whole) == bytes(&killed), "{name} differs");
+    }
+    let steps = |run: &Path| {
+        let log = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
+        let entry = |line: &str| {
+            let entry: serde_json::Value = serde_json::from_str(line).unwrap();
+            (entry["step"].as_u64(), entry["kind"].as_str().map(str::to_owned), entry["loss"].as_f64())
+        };
+        log.lines().map(entry).filter(|(.., loss)| loss.is_none_or(f64::is_finite)).collect::<Vec<_>>()
+    };
+    let valid = |run: &Path| steps(run).into_iter().filter(|e| e.1.as_deref() == Some("valid")).count();
+    assert_eq!(valid(&whole), valid(&killed), "validations are neither lost nor written twice");
+    assert!(whole.join("curves.svg").is_file() && whole.join("curves.png").is_file());
+}
+
+/// Steps of the last saved state, 0 before the first.
+fn saved_step(run: &Path) -> u64 {
+    let Ok(bytes) = std::fs::read(run.join("state.safetensors")) else { return 0 };
+    // The header is JSON; "step" is a number written by the run folder.
+    let header = String::from_utf8_lossy(&bytes[..bytes.len().min(4000)]).replace('\\', "");
+    let Some(at) = header.find("\"step\":") else { return 0 };
+    let digits: String = header[at + 7..].chars().skip_while(|c| !c.is_ascii_digit()).take_while(char::is_ascii_digit).collect();
+    digits.parse().unwrap_or(0)
+}
+
+#[test]
+fn trained_weights_stream_as_they_were_evaluated() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = write(folder.path(), "all-stages.toml", RECIPE);
+    let out = folder.path().join("run");
+    assert_ok(&train(&recipe, &out, &[]));
+    let model = LoadedModel::load(&out.join("model.safetensors"), None).unwrap();
+    assert!(model.trained && model.metadata.heads.fused.pose && model.metadata.heads.relative.pose);
+    assert_eq!(model.metadata.scene.as_ref().unwrap().id, "room-1");
+    // Trunk and scene are the same model in two files.
+    let parts = LoadedModel::load(&out.join("trunk.safetensors"), Some(&out.join("scene.safetensors"))).unwrap();
+    assert_eq!(parts.model_hash, model.model_hash);
+
+    let recording = folder.path().join("pass");
+    let synth = ["synth", "--sequences", "1", "--frames", "9", "--size", "64x48", "--texel-mm", "40", "--out"];
+    assert_ok(&program().args(synth).arg(&recording).output().unwrap());
+    let recording = dataset::open_one(&recording, &dataset::OpenOptions::default()).unwrap();
+    let options = PipelineOptions {
+        base_from_camera: Pose::identity(),
+        gate: None,
+        ..PipelineOptions::default()
+    };
+    let mut pipeline = Pipeline::new(model.clone(), options).unwrap();
+    let mut source = FolderSource::new(recording, Pace::Max, false).unwrap();
+    let mut preprocessor = grnet_pipeline::preprocess::Preprocessor::new(
+        grnet_pipeline::preprocess::InputSpec {
+            size_px: (64, 48),
+            preprocessing: model.metadata.preprocessing.clone(),
+            trained_camera: None,
+        },
+        grnet_pipeline::IntrinsicsOptions::default(),
+        None,
+    )
+    .unwrap();
+    let (mut streamed, mut images) = (Vec::new(), Vec::new());
+    while let Received::Frame(frame) = source.next_frame(Duration::from_secs(5)).unwrap() {
+        images.extend_from_slice(preprocessor.run(&frame).unwrap());
+        streamed.push(pipeline.step(&frame, &mut NoObserver).unwrap().network_map_from_base.pose.unwrap());
+    }
+    let images = Tensor::from_vec(images, (1, streamed.len(), 3, 48, 64), &Device::Cpu).unwrap();
+    let fused = model.network.window(&images).unwrap().fused.unwrap();
+    let translations = fused.translation.to_vec3::<f32>().unwrap();
+    let rotations = fused.rotation.to_vec3::<f32>().unwrap();
+    assert_eq!(streamed.len(), 9);
+    for (frame, pose) in streamed.iter().enumerate() {
+        let raw: [f64; 6] = std::array::from_fn(|i| f64::from(rotations[0][frame][i]));
+        let rotation = quaternion::from_6d(raw).unwrap();
+        for axis in 0..3 {
+            let difference = pose.translation.vector[axis] - f64::from(translations[0][frame][axis]);
+            assert!(difference.abs() < 1e-4, "frame {frame}: {difference} m");
+        }
+        assert!(se3::angle_rad(&(rotation.inverse() * pose.rotation)) < 1e-4, "frame {frame}");
+    }
+}
+
+#[test]
+fn a_scene_is_added_to_a_trunk_that_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = write(folder.path(), "all-stages.toml", RECIPE);
+    let out = folder.path().join("run");
+    assert_ok(&train(&recipe, &out, &[]));
+    let trunk = out.join("trunk.safetensors");
+
+    let other_room = r#"
+[data.room.rendered]
+rooms = [2]
+size_px = [64, 48]
+texel_mm = 40.0
+window = { k = 3, strides = [2] }
+
+[[stage]]
+name = "scene"
+data = "room"
+train = ["rcnn2", "fcfl"]
+loss = { global = 1.0, fused = 1.0 }
+steps = 3
+batch = 4
+cached_windows = 8
+"#;
+    let scene_recipe = write(folder.path(), "scene.toml", other_room);
+    let scene = folder.path().join("room-2.safetensors");
+    let arguments = |scene_recipe: &Path| {
+        let mut command = program();
+        command.arg("scene").arg("--trunk").arg(&trunk).arg("--config").arg(scene_recipe);
+        command.arg("--run").arg(folder.path().join("scene-run")).arg("--out").arg(&scene);
+        command.output().unwrap()
+    };
+    assert_ok(&arguments(&scene_recipe));
+    let stored = Checkpoint::load(&scene).unwrap();
+    assert_eq!(stored.metadata().kind, Kind::Scene);
+    assert_eq!(stored.metadata().scene.as_ref().unwrap().id, "room-2");
+    let model = LoadedModel::load(&trunk, Some(&scene)).unwrap();
+    assert!(model.metadata.heads.relative.pose && model.metadata.heads.fused.pose);
+    assert!(!model.metadata.heads.fused.log_variance, "nothing was held out to calibrate it on");
+
+    let greedy = other_room.replace("[\"rcnn2\", \"fcfl\"]", "[\"cnn1\", \"rcnn2\"]");
+    refused(&arguments(&write(folder.path(), "greedy.toml", &greedy.replace("cached_windows = 8", ""))), &["trains cnn1 or rcnn1"]);
+}
+
+#[test]
+fn what_cannot_go_on_stops_with_a_reason_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // A step far too large: the weights, then the loss, leave the range of numbers.
+    let wild = RECIPE.replace("steps = 4\nbatch = 4\n\n", "steps = 60\nbatch = 4\nlearning_rate = 1e30\nclip_norm = 0.0\n\n");
+    assert_ne!(wild, RECIPE);
+    let output = train(&write(folder.path(), "wild.toml", &wild), &at("wild"), &[]);
+    refused(&output, &["is not finite", "bad-batch-", "learning_rate"]);
+    assert!(at("wild/state.safetensors").is_file(), "the last good state stays");
+    let kept = std::fs::read_dir(at("wild")).unwrap().filter_map(Result::ok);
+    assert!(kept.filter(|entry| entry.file_name().to_string_lossy().starts_with("bad-batch-")).count() == 2);
+
+    let typo = RECIPE.replace("half_precision", "half_precison");
+    refused(&train(&write(folder.path(), "typo.toml", &typo), &at("t"), &[]), &["half_precison", "line"]);
+    let head = RECIPE.replace("[network]\n", "[network]\nbranches = { relative = false, global = true, fusion = false }\n");
+    refused(&train(&write(folder.path(), "head.toml", &head), &at("h"), &[]), &["stage \"relative\"", "no relative head"]);
+    let data = RECIPE.replace("data = \"held_out\"", "data = \"elsewhere\"");
+    refused(&train(&write(folder.path(), "data.toml", &data), &at("d"), &[]), &["elsewhere", "held_out, room"]);
+
+    let recipe = write(folder.path(), "recipe.toml", RECIPE);
+    std::fs::create_dir(at("foreign")).unwrap();
+    std::fs::write(at("foreign/thesis.tex"), "years of work").unwrap();
+    refused(&train(&recipe, &at("foreign"), &[]), &["foreign"]);
+    refused(&train(&recipe, &at("none"), &["--resume"]), &["none"]);
+    // Another recipe in the same folder is not the same run.
+    refused(&train(&recipe, &at("wild"), &["--resume"]), &["wild", "learning_rate"]);
+}
