@@ -67,16 +67,15 @@ pub enum RunError {
     },
     /// Neither the last state nor the one before it can be used.
     #[error(
-        "no state of {} can be loaded: {newest}; {previous}; restore one of them from a copy, or start a new run",
-        folder.display()
+        "no state of {} can be loaded: {}; restore one of them from a copy, or start a new run",
+        folder.display(),
+        problems.join("; ")
     )]
     NoGoodState {
         /// The run's folder.
         folder: PathBuf,
-        /// Why the last one cannot be used.
-        newest: Box<RunError>,
-        /// Why the one before it cannot be used.
-        previous: Box<RunError>,
+        /// What is wrong with the files that are there.
+        problems: Vec<String>,
     },
     /// The state given to be saved contradicts itself.
     #[error(

@@ -59,14 +59,25 @@ impl RunFolder {
         let lock = Lock::take(path)?;
         // Again, now that nobody else writes it.
         let record = RunRecord::read(&file)?.ok_or_else(|| RunError::NoRun { folder: path.into() })?;
-        let config = path.join(CONFIG);
-        let config = fs::read_to_string(&config).map_err(io("read", &config))?;
+        let config = Self::config_of(path)?;
         let differences = record.differences(&config, identity);
         if !differences.is_empty() {
             return Err(RunError::Differs { folder: path.into(), differences });
         }
         let log = Log::open(&path.join(LOG))?;
         Ok(Self { path: path.into(), record, log, _lock: lock })
+    }
+
+    /// The configuration of the run in a folder, for who resumes it without giving one.
+    ///
+    /// # Errors
+    /// When there is no run, or the file cannot be read.
+    pub fn config_of(path: &Path) -> Result<String, RunError> {
+        if RunRecord::read(&path.join(RECORD))?.is_none() {
+            return Err(RunError::NoRun { folder: path.into() });
+        }
+        let config = path.join(CONFIG);
+        fs::read_to_string(&config).map_err(io("read", &config))
     }
 
     /// The folder.
@@ -94,34 +105,29 @@ impl RunFolder {
     /// When neither of the two files can be used.
     pub fn load_state_with(&self, warn: impl FnOnce(String)) -> Result<Option<State>, RunError> {
         let (newest, previous) = (self.path.join(STATE), self.path.join(PREVIOUS));
-        match State::read(&newest) {
-            Ok(Some(state)) => Ok(Some(state)),
+        let newest = match State::read(&newest) {
+            Ok(Some(state)) => return Ok(Some(state)),
             // Killed between the two renames of `save_state`, or before the first save.
-            Ok(None) => State::read(&previous),
-            Err(error) => match State::read(&previous) {
-                Ok(Some(state)) => {
+            Ok(None) => None,
+            Err(error) => Some(error),
+        };
+        match (newest, State::read(&previous)) {
+            (newest, Ok(Some(state))) => {
+                if let Some(error) = newest {
                     warn(format!("{error}; going on from step {} ({PREVIOUS})", state.step));
-                    Ok(Some(state))
                 }
-                other => {
-                    let missing = || RunError::Io {
-                        action: "read",
-                        path: previous.clone(),
-                        source: ErrorKind::NotFound.into(),
-                    };
-                    let previous = Box::new(other.err().unwrap_or_else(missing));
-                    Err(RunError::NoGoodState {
-                        folder: self.path.clone(),
-                        newest: Box::new(error),
-                        previous,
-                    })
-                }
-            },
+                Ok(Some(state))
+            }
+            (None, Ok(None)) => Ok(None),
+            (newest, previous) => {
+                let problems = [newest, previous.err()].into_iter().flatten().map(|error| error.to_string());
+                Err(RunError::NoGoodState { folder: self.path.clone(), problems: problems.collect() })
+            }
         }
     }
 
     /// Saves the state; the one before it is kept. Whenever the process is killed or the power fails, one good state is
-    /// there.
+    /// there. What is to be logged of a step is logged before, so that a resumed run does not tell it twice.
     ///
     /// # Errors
     /// When it cannot be written: the states that were there still load.

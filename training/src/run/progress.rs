@@ -129,7 +129,7 @@ fn duration(time: Duration) -> String {
     }
 }
 
-/// Speed over the last few seconds: those of an hour ago, or of the compiling first step, say nothing about the next.
+/// Speed over the last few seconds: that of an hour ago, or of a slow first step, says nothing about the next.
 struct Speed {
     /// Where the measured stretch begins, and the one after it.
     marks: [Mark; 2],

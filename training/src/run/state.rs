@@ -132,15 +132,12 @@ impl State {
             for length in &tensor.shape {
                 hash.update((*length as u64).to_le_bytes());
             }
-            hash.update(tensor.bytes());
+            // In pieces, so that no second copy of a large tensor is made.
+            for values in tensor.values.chunks(1 << 14) {
+                hash.update(bytes_of(values));
+            }
         }
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
-    }
-}
-
-impl StateTensor {
-    fn bytes(&self) -> Vec<u8> {
-        self.values.iter().flat_map(|value| value.to_le_bytes()).collect()
     }
 }
 
@@ -154,10 +151,18 @@ impl View for &StateTensor {
     }
 
     fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Owned(self.bytes())
+        Cow::Owned(bytes_of(&self.values))
     }
 
     fn data_len(&self) -> usize {
         self.values.len() * size_of::<f32>()
     }
+}
+
+fn bytes_of(values: &[f32]) -> Vec<u8> {
+    let mut bytes = vec![0; size_of_val(values)];
+    for (word, value) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(values) {
+        *word = value.to_le_bytes();
+    }
+    bytes
 }

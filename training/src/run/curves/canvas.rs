@@ -249,7 +249,7 @@ fn path(points: impl IntoIterator<Item = BackendCoord>, close: bool) -> Option<P
 mod tests {
     use plotters::prelude::*;
 
-    use super::*;
+    use super::{Canvas, FontTransform, Picture};
 
     /// Where the picture is not white: left, top, right and bottom, in fine pixels.
     fn inked(draw: impl FnOnce(&DrawingArea<Canvas<'_>, plotters::coord::Shift>)) -> Option<[u32; 4]> {

@@ -3,6 +3,7 @@
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::content::{Content, Panel, Stage};
 use super::series::Point;
@@ -35,7 +36,7 @@ pub(super) fn draw<DB: DrawingBackend>(
     content: &Content,
 ) -> Result<(), Failed<DB>> {
     area.fill(&WHITE)?;
-    let area = area.margin(MARGIN_PX, MARGIN_PX, 0, 0);
+    let area = area.margin(MARGIN_PX, MARGIN_PX, MARGIN_PX, 0);
     let (stages, mut rest) = area.split_vertically(STAGES_PX);
     if content.panels.is_empty() {
         let at = (WIDTH as i32 / 2, (LEGEND_PX + PLOT_PX) as i32 / 2);
@@ -129,7 +130,7 @@ fn name_stages<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     content: &Content,
 ) -> Result<(), Failed<DB>> {
-    let width = (WIDTH - VALUES_PX - RIGHT_PX) as f64;
+    let width = (WIDTH - MARGIN_PX - VALUES_PX - RIGHT_PX) as f64;
     let pixel = |step: f64| {
         let share = (step - content.steps.start) / (content.steps.end - content.steps.start);
         (f64::from(VALUES_PX) + share * width) as i32
@@ -152,11 +153,7 @@ fn legend<DB: DrawingBackend>(area: &DrawingArea<DB, Shift>, panel: &Panel) -> R
     }
     for (label, colour) in entries {
         area.draw(&PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(3)))?;
-        let pos = plotters::style::text_anchor::Pos::new(
-            plotters::style::text_anchor::HPos::Left,
-            plotters::style::text_anchor::VPos::Center,
-        );
-        let style = (FONT, FONT_PX).into_font().color(&INK).pos(pos);
+        let style = (FONT, FONT_PX).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
         area.draw(&Text::new(label.to_owned(), (x + 26, y), style))?;
         x += 26 + label.chars().count() as i32 * LETTER_PX + 20;
     }
@@ -164,7 +161,6 @@ fn legend<DB: DrawingBackend>(area: &DrawingArea<DB, Shift>, panel: &Panel) -> R
 }
 
 fn centred() -> TextStyle<'static> {
-    use plotters::style::text_anchor::{HPos, Pos, VPos};
     (FONT, FONT_PX).into_font().color(&INK).pos(Pos::new(HPos::Center, VPos::Center))
 }
 

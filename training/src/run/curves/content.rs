@@ -53,7 +53,12 @@ impl Content {
         let steps = first..last.max(first + 1.0).max(first * 1.000_001);
         let mut panels = vec![
             panel("loss", false, true, collect(&told, |entry| named(entry.loss))),
-            panel("learning rate", true, false, collect(&told, |entry| named(entry.lr))),
+            panel(
+                "learning rate",
+                true,
+                false,
+                collect(&told, |entry| named(entry.lr.filter(|_| entry.kind == LogKind::Train))),
+            ),
         ];
         for (ending, label) in ERRORS {
             let values = collect(&told, |entry| {
