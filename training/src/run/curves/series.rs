@@ -21,11 +21,7 @@ pub(super) fn is_drawable(value: f64) -> bool {
 
 /// The points as lines that end where a value cannot be drawn.
 pub(super) fn pieces(points: &[Point]) -> Vec<Vec<Point>> {
-    points
-        .split(|(_, value)| !is_drawable(*value))
-        .filter(|piece| !piece.is_empty())
-        .map(|piece| thinned(piece))
-        .collect()
+    points.split(|(_, value)| !is_drawable(*value)).filter(|piece| !piece.is_empty()).map(thinned).collect()
 }
 
 /// An exponential mean over a fortieth of the points; what cannot be drawn is passed over. Nothing of few points.
