@@ -395,3 +395,82 @@ fn is_within(volume: &Volume, place: &[f64; 6]) -> bool {
     let pitch = (volume.pitch_rad.0..=volume.pitch_rad.1).contains(&place[4]);
     in_box && yaw && pitch && place[5].abs() <= volume.roll_rad
 }
+
+#[cfg(test)]
+mod tests {
+    use grnet_model::Preprocessing;
+    use image::codecs::jpeg::JpegEncoder;
+
+    use super::*;
+
+    const INPUT_PX: (u32, u32) = (112, 112);
+
+    fn input() -> InputSpec {
+        InputSpec { size_px: INPUT_PX, preprocessing: Preprocessing::default(), trained_camera: None }
+    }
+
+    /// What a camera of 640x480 that writes JPEGs shows of the place, resized as at run time.
+    fn recorded(scene: &Scene, pose: &Pose) -> Rgb {
+        let camera = Camera::new((640, 480), (525.0, 525.0), (319.5, 239.5), Distortion::None).unwrap();
+        let mut target = RenderTarget::new(4);
+        scene.render(pose, &camera, &mut target).unwrap();
+        let (mut rgb, mut jpeg) = (Vec::new(), Vec::new());
+        let options = SensorOptions { vary_exposure: false, ..SensorOptions::default() };
+        Sensor { options }.develop(&target, FrameKey { seed: 1, sequence: 0, index: 0 }, 1.0, &mut rgb);
+        JpegEncoder::new_with_quality(&mut jpeg, 92)
+            .encode(&rgb, 640, 480, image::ExtendedColorType::Rgb8)
+            .unwrap();
+        let frame = Frame {
+            pixels: Arc::new(grnet_capture::decode::decode_bytes(&jpeg).unwrap()),
+            capture_time: CaptureTime::recorded(0),
+            sequence: 0,
+            camera: None,
+        };
+        Resize::new(&input()).unwrap().run(&frame).unwrap()
+    }
+
+    /// Means of the absolute difference, and of the absolute difference of neighbours in each picture: sharpness.
+    fn compare(a: &Rgb, b: &Rgb) -> (f64, f64, f64) {
+        let mean = |values: &mut dyn Iterator<Item = u8>, n: usize| values.map(f64::from).sum::<f64>() / n as f64;
+        let n = a.data.len();
+        let sharp = |rgb: &Rgb| {
+            mean(&mut rgb.data.iter().zip(&rgb.data[3..]).map(|(a, b)| a.abs_diff(*b)), n)
+        };
+        (mean(&mut a.data.iter().zip(&b.data).map(|(a, b)| a.abs_diff(*b)), n), sharp(a), sharp(b))
+    }
+
+    /// Small pictures look like large ones that were made small: as alike as half the contrast of neighbouring pixels,
+    /// and as sharp.
+    #[test]
+    fn the_look_is_that_of_a_camera_image_resized() {
+        let options = RenderedOptions {
+            window: WindowOptions { k: 1, ..WindowOptions::default() },
+            noise: (1.0, 1.0),
+            vignetting: (0.22, 0.22),
+            ..RenderedOptions::default()
+        };
+        let windows = RenderedWindows::new(input(), options).unwrap();
+        let fine = Scene::build(SceneOptions { room: 1, texel_m: 0.004 });
+        let target = RenderTarget::new(windows.options.edge_samples);
+        let (resize, scratch) = (Resize::new(&input()).unwrap(), Scratch::default());
+        let mut workshop = Workshop { target, resize, scratch };
+        let (mut apart, mut sharp, mut expected) = (0.0, 0.0, 0.0);
+        const VIEWS: u64 = 8;
+        for index in 0..VIEWS {
+            let mut shots = windows.shots(index).unwrap();
+            shots.sensor.vary_exposure = false;
+            let pose = shots.frames[0].0;
+            let small = windows.picture(&shots, 0, &pose, &mut workshop).unwrap().unwrap();
+            let (a, b, c) = compare(&small, &recorded(&fine, &pose));
+            (apart, sharp, expected) = (apart + a, sharp + b, expected + c);
+        }
+        let told = format!(
+            "{:.2} grey levels apart, neighbours {:.2} apart, {:.2} in the recording",
+            apart / VIEWS as f64,
+            sharp / VIEWS as f64,
+            expected / VIEWS as f64
+        );
+        println!("{told}");
+        assert!(apart < 0.5 * expected && (sharp / expected - 1.0).abs() < 0.15, "{told}");
+    }
+}
