@@ -77,17 +77,19 @@ proptest! {
 }
 
 #[test]
-fn six_numbers_give_the_quaternion_of_their_rotation() {
-    let truth = Pose::new(Vector3::zeros(), Vector3::new(0.0, 3.1, 0.0));
-    // Beyond the half turn the canonical quaternion has the other sign; the nearer one is compared.
-    let predicted = Pose::new(Vector3::zeros(), Vector3::new(0.0, 3.2, 0.0));
-    let residuals = Residuals {
-        space: Space::Quaternion,
-        frames: 1,
-        motions: vec![Motion::Absolute(0)],
-        truths: vec![truth],
-    };
-    let values = residuals.values(&row(&predicted, true, 2.0), 9);
-    let expected = 2.0 * (0.05_f64 / 2.0).sin();
-    assert!((Vector4::from_column_slice(&values[3..]).norm() - expected).abs() < 1e-12, "{values:?}");
+fn a_computed_quaternion_takes_the_sign_of_the_truth() {
+    // Beyond the half turn the canonical quaternion has the other sign; the nearer one is compared. Both axes, because
+    // reading a matrix prefers one of the two signs.
+    for axis in [1.0, -1.0] {
+        let turned = |angle: f64| Pose::new(Vector3::zeros(), Vector3::new(0.0, axis * angle, 0.0));
+        let residuals = Residuals {
+            space: Space::Quaternion,
+            frames: 1,
+            motions: vec![Motion::Absolute(0)],
+            truths: vec![turned(3.1)],
+        };
+        let values = residuals.values(&row(&turned(3.2), true, 2.0), 9);
+        let expected = 2.0 * (0.05_f64 / 2.0).sin();
+        assert!((Vector4::from_column_slice(&values[3..]).norm() - expected).abs() < 1e-12, "{values:?}");
+    }
 }
