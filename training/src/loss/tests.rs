@@ -175,6 +175,32 @@ fn learned_by_hand() {
 }
 
 #[test]
+fn learned_weights_meet_their_own_terms() {
+    // Both frames 0.3 m off along y and the second turned by 0.2 rad about z on top: the pair is off by the turn only.
+    let truth = vec![Pose::identity(), Pose::translation(1.0, 0.0, 0.0)];
+    let off =
+        vec![Pose::translation(0.0, 0.3, 0.0), Pose::new(Vector3::new(1.0, 0.3, 0.0), Vector3::z() * 0.2)];
+    let targets = Targets::new(&[truth.clone(), truth], &Device::Cpu).unwrap();
+    let statistics = TargetStatistics {
+        absolute_translation_m2: 0.5,
+        absolute_rotation_rad2: 0.1,
+        pairs_translation_m2: 0.02,
+        pairs_rotation_rad2: 0.004,
+    };
+    let weights = Homoscedastic::initial(&statistics, &[Head::Global], &Device::Cpu).unwrap();
+    let output = Output::of(&[off.clone(), off], true, 1.0);
+    let terms = joint_loss(Loss::Learned, &output.head(), &targets, Head::Global, Some(&weights)).unwrap();
+    let term = |mean_square: f64, variance: f64| mean_square / variance + variance.ln();
+    let expected = term(0.03, 0.5) + term(0.04 / 6.0, 0.1) + term(0.0, 0.02) + term(0.04 / 3.0, 0.004);
+    assert!((value(&terms.total) - expected).abs() < 1e-5, "{} {expected}", value(&terms.total));
+    // As motions of steps: the second frame's output is the pair.
+    let weights = Homoscedastic::initial(&statistics, &[Head::Relative], &Device::Cpu).unwrap();
+    let terms = relative_loss(Loss::Learned, &output.head(), &targets, Some(&weights)).unwrap();
+    let expected = term(0.03, 0.02) + term(0.04 / 3.0, 0.004);
+    assert!((value(&terms.total) - expected).abs() < 1e-5, "{} {expected}", value(&terms.total));
+}
+
+#[test]
 fn a_perfect_prediction_costs_nothing_and_has_finite_gradients() {
     for frames in 1..=11 {
         let windows = walks(2, frames, frames as u64);
