@@ -30,8 +30,14 @@ impl Cli {
         match self.command {
             Command::Synth(args) => synth::command::run(&args),
             Command::Init(args) => init::run(&args),
-            Command::Train(args) => train::command::run(&args),
-            Command::Scene(args) => train::scene::run(&args),
+            Command::Train(args) => {
+                train::one_thread_per_operator()?;
+                train::command::run(&args)
+            }
+            Command::Scene(args) => {
+                train::one_thread_per_operator()?;
+                train::scene::run(&args)
+            }
             Command::Score(args) => score::run(&args),
             Command::Evaluate(args) => evaluate::command::run(&args),
         }

@@ -147,13 +147,42 @@ fn a_run_that_was_killed_again_and_again_ends_with_the_same_bytes() {
     assert!(whole.join("curves.svg").is_file() && whole.join("curves.png").is_file());
 }
 
+#[test]
+fn an_interrupt_saves_and_the_run_goes_on_from_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let long = RECIPE.replace("save_every_s = 0", "save_every_s = 3600").replace("steps = 4", "steps = 2000");
+    let recipe = write(folder.path(), "long.toml", &long);
+    let run = folder.path().join("run");
+    let mut command = program();
+    command.arg("train").arg("--config").arg(&recipe).arg("--out").arg(&run);
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let limit = Instant::now() + Duration::from_secs(120);
+    let has_begun =
+        || std::fs::read_to_string(run.join("log.jsonl")).is_ok_and(|log| log.contains("\"train\""));
+    while !has_begun() {
+        assert!(Instant::now() < limit && child.try_wait().unwrap().is_none(), "no step within two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && error.contains("go on with --resume"), "{error}");
+    assert!(saved_step(&run) >= 10, "the state of the interrupt");
+    assert!(!run.join("model.safetensors").exists());
+}
+
 /// Steps of the last saved state, 0 before the first.
 fn saved_step(run: &Path) -> u64 {
     let Ok(bytes) = std::fs::read(run.join("state.safetensors")) else { return 0 };
     // The header is JSON; "step" is a number written by the run folder.
     let header = String::from_utf8_lossy(&bytes[..bytes.len().min(4000)]).replace('\\', "");
     let Some(at) = header.find("\"step\":") else { return 0 };
-    let digits: String = header[at + 7..].chars().skip_while(|c| !c.is_ascii_digit()).take_while(char::is_ascii_digit).collect();
+    let digits: String = header[at + 7..]
+        .chars()
+        .skip_while(|c| !c.is_ascii_digit())
+        .take_while(char::is_ascii_digit)
+        .collect();
     digits.parse().unwrap_or(0)
 }
 
@@ -167,18 +196,17 @@ fn trained_weights_stream_as_they_were_evaluated() {
     assert!(model.trained && model.metadata.heads.fused.pose && model.metadata.heads.relative.pose);
     assert_eq!(model.metadata.scene.as_ref().unwrap().id, "room-1");
     // Trunk and scene are the same model in two files.
-    let parts = LoadedModel::load(&out.join("trunk.safetensors"), Some(&out.join("scene.safetensors"))).unwrap();
+    let parts =
+        LoadedModel::load(&out.join("trunk.safetensors"), Some(&out.join("scene.safetensors"))).unwrap();
     assert_eq!(parts.model_hash, model.model_hash);
 
     let recording = folder.path().join("pass");
-    let synth = ["synth", "--sequences", "1", "--frames", "9", "--size", "64x48", "--texel-mm", "40", "--out"];
+    let synth =
+        ["synth", "--sequences", "1", "--frames", "9", "--size", "64x48", "--texel-mm", "40", "--out"];
     assert_ok(&program().args(synth).arg(&recording).output().unwrap());
     let recording = dataset::open_one(&recording, &dataset::OpenOptions::default()).unwrap();
-    let options = PipelineOptions {
-        base_from_camera: Pose::identity(),
-        gate: None,
-        ..PipelineOptions::default()
-    };
+    let options =
+        PipelineOptions { base_from_camera: Pose::identity(), gate: None, ..PipelineOptions::default() };
     let mut pipeline = Pipeline::new(model.clone(), options).unwrap();
     let mut source = FolderSource::new(recording, Pace::Max, false).unwrap();
     let mut preprocessor = grnet_pipeline::preprocess::Preprocessor::new(
@@ -253,7 +281,10 @@ cached_windows = 8
     assert!(!model.metadata.heads.fused.log_variance, "nothing was held out to calibrate it on");
 
     let greedy = other_room.replace("[\"rcnn2\", \"fcfl\"]", "[\"cnn1\", \"rcnn2\"]");
-    refused(&arguments(&write(folder.path(), "greedy.toml", &greedy.replace("cached_windows = 8", ""))), &["trains cnn1 or rcnn1"]);
+    refused(
+        &arguments(&write(folder.path(), "greedy.toml", &greedy.replace("cached_windows = 8", ""))),
+        &["trains cnn1 or rcnn1"],
+    );
 }
 
 #[test]
@@ -261,7 +292,10 @@ fn what_cannot_go_on_stops_with_a_reason_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     // A step far too large: the weights, then the loss, leave the range of numbers.
-    let wild = RECIPE.replace("steps = 4\nbatch = 4\n\n", "steps = 60\nbatch = 4\nlearning_rate = 1e30\nclip_norm = 0.0\n\n");
+    let wild = RECIPE.replace(
+        "steps = 4\nbatch = 4\n\n",
+        "steps = 60\nbatch = 4\nlearning_rate = 1e30\nclip_norm = 0.0\n\n",
+    );
     assert_ne!(wild, RECIPE);
     let output = train(&write(folder.path(), "wild.toml", &wild), &at("wild"), &[]);
     refused(&output, &["is not finite", "bad-batch-", "learning_rate"]);
@@ -271,10 +305,19 @@ fn what_cannot_go_on_stops_with_a_reason_and_loses_nothing() {
 
     let typo = RECIPE.replace("half_precision", "half_precison");
     refused(&train(&write(folder.path(), "typo.toml", &typo), &at("t"), &[]), &["half_precison", "line"]);
-    let head = RECIPE.replace("[network]\n", "[network]\nbranches = { relative = false, global = true, fusion = false }\n");
-    refused(&train(&write(folder.path(), "head.toml", &head), &at("h"), &[]), &["stage \"relative\"", "no relative head"]);
+    let head = RECIPE.replace(
+        "[network]\n",
+        "[network]\nbranches = { relative = false, global = true, fusion = false }\n",
+    );
+    refused(
+        &train(&write(folder.path(), "head.toml", &head), &at("h"), &[]),
+        &["stage \"relative\"", "no relative head"],
+    );
     let data = RECIPE.replace("data = \"held_out\"", "data = \"elsewhere\"");
-    refused(&train(&write(folder.path(), "data.toml", &data), &at("d"), &[]), &["elsewhere", "held_out, room"]);
+    refused(
+        &train(&write(folder.path(), "data.toml", &data), &at("d"), &[]),
+        &["elsewhere", "held_out, room"],
+    );
 
     let recipe = write(folder.path(), "recipe.toml", RECIPE);
     std::fs::create_dir(at("foreign")).unwrap();

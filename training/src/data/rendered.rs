@@ -431,11 +431,11 @@ mod tests {
 
     /// Means of the absolute difference, and of the absolute difference of neighbours in each picture: sharpness.
     fn compare(a: &Rgb, b: &Rgb) -> (f64, f64, f64) {
-        let mean = |values: &mut dyn Iterator<Item = u8>, n: usize| values.map(f64::from).sum::<f64>() / n as f64;
+        let mean =
+            |values: &mut dyn Iterator<Item = u8>, n: usize| values.map(f64::from).sum::<f64>() / n as f64;
         let n = a.data.len();
-        let sharp = |rgb: &Rgb| {
-            mean(&mut rgb.data.iter().zip(&rgb.data[3..]).map(|(a, b)| a.abs_diff(*b)), n)
-        };
+        let sharp =
+            |rgb: &Rgb| mean(&mut rgb.data.iter().zip(&rgb.data[3..]).map(|(a, b)| a.abs_diff(*b)), n);
         (mean(&mut a.data.iter().zip(&b.data).map(|(a, b)| a.abs_diff(*b)), n), sharp(a), sharp(b))
     }
 

@@ -55,7 +55,8 @@ pub fn calibrate(
     for (head, residuals) in validator.residuals(parameters, weights, device)? {
         let Some(calibration) = fit(&residuals) else { continue };
         let key = format!("{}.log_variance.bias", part_of(head));
-        let bias = parameters.snapshot()?.remove(&key).ok_or(TrainError::UnknownTensor { tensor: key.clone() })?;
+        let bias =
+            parameters.snapshot()?.remove(&key).ok_or(TrainError::UnknownTensor { tensor: key.clone() })?;
         let shift = calibration.shift.map(|v| v as f32);
         let bias = (bias + Tensor::from_slice(&shift, 6, device)?)?;
         parameters.restore(HashMap::from([(key, bias)]))?;
@@ -90,7 +91,8 @@ fn fit(residuals: &[Residual]) -> Option<Calibration> {
         // A bounded mean, solved by iteration: how much is too much depends on the scale itself.
         let mut scale = 1.0f64;
         for _ in 0..50 {
-            let bounded = normalised.iter().map(|row| (row[component] / scale).min(LARGEST_SQUARED)).sum::<f64>();
+            let bounded =
+                normalised.iter().map(|row| (row[component] / scale).min(LARGEST_SQUARED)).sum::<f64>();
             scale = (scale * bounded / count).max(1e-12);
         }
         scale.ln()

@@ -180,7 +180,8 @@ impl Recipe {
 
     /// The heads that any stage trains.
     pub fn heads(&self) -> Vec<Head> {
-        let weighed = |weight: fn(&LossWeights) -> f64| self.stages.iter().any(|stage| weight(&stage.loss) > 0.0);
+        let weighed =
+            |weight: fn(&LossWeights) -> f64| self.stages.iter().any(|stage| weight(&stage.loss) > 0.0);
         let heads = [
             (Head::Relative, weighed(|loss| loss.relative)),
             (Head::Global, weighed(|loss| loss.global)),
@@ -217,7 +218,10 @@ impl Recipe {
             return bad("init", "give either `checkpoint` or `resnet50`".into());
         }
         if self.network.is_none() && init.is_none_or(|init| init.checkpoint.is_none()) {
-            return bad("network", "give `preset`, or a checkpoint under [init] whose network is taken".into());
+            return bad(
+                "network",
+                "give `preset`, or a checkpoint under [init] whose network is taken".into(),
+            );
         }
         Ok(())
     }
@@ -228,7 +232,10 @@ impl Stage {
         let LossWeights { relative, global, fused, uncertainty } = self.loss;
         let weights = [relative, global, fused, uncertainty];
         if weights.iter().any(|w| !(w.is_finite() && *w >= 0.0)) || weights[..3].iter().all(|w| *w == 0.0) {
-            return Err(("loss", format!("{:?}: numbers from 0 on are expected, one head at least", self.loss)));
+            return Err((
+                "loss",
+                format!("{:?}: numbers from 0 on are expected, one head at least", self.loss),
+            ));
         }
         if self.train.is_empty() {
             return Err(("train", "no part is trained; name some of cnn1, rcnn1, rcnn2, fcfl".into()));

@@ -69,7 +69,12 @@ pub fn only_calibrated(heads: Heads, calibration: &BTreeMap<Head, Calibration>, 
 ///
 /// # Errors
 /// When a weight is not finite or does not fit the storage.
-pub fn checkpoint(parameters: &Parameters, recipe: &Recipe, facts: &Facts, base: &CheckpointMetadata) -> Result<Checkpoint, TrainError> {
+pub fn checkpoint(
+    parameters: &Parameters,
+    recipe: &Recipe,
+    facts: &Facts,
+    base: &CheckpointMetadata,
+) -> Result<Checkpoint, TrainError> {
     let stages: Vec<_> = recipe.stages.iter().map(|stage| json!(stage)).collect();
     let record = [
         ("generator", json!(concat!("grnet-train ", env!("CARGO_PKG_VERSION")))),
@@ -78,7 +83,12 @@ pub fn checkpoint(parameters: &Parameters, recipe: &Recipe, facts: &Facts, base:
         ("steps", json!(facts.steps)),
         ("data", json!(facts.fingerprint)),
         ("stages", json!(stages)),
-        ("calibration", json!(facts.calibration.iter().map(|(head, c)| (head.to_string(), c)).collect::<BTreeMap<_, _>>())),
+        (
+            "calibration",
+            json!(
+                facts.calibration.iter().map(|(head, c)| (head.to_string(), c)).collect::<BTreeMap<_, _>>()
+            ),
+        ),
     ];
     let record = record.map(|(key, value)| (key.to_owned(), value));
     let scene = recipe.scene.as_ref().map(|scene| SceneInfo {
@@ -108,7 +118,8 @@ mod tests {
     use grnet_model::NetworkConfig;
 
     fn stage(train: &[Part], loss: LossWeights) -> Stage {
-        let text = "name = \"s\"\ndata = \"d\"\ntrain = [\"fcfl\"]\nsteps = 1\nbatch = 1\nloss = { fused = 1.0 }";
+        let text =
+            "name = \"s\"\ndata = \"d\"\ntrain = [\"fcfl\"]\nsteps = 1\nbatch = 1\nloss = { fused = 1.0 }";
         let base: Stage = toml::from_str(text).unwrap();
         Stage { train: train.to_vec(), loss, ..base }
     }

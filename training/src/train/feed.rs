@@ -98,7 +98,12 @@ impl Feed {
 
 impl FeatureCache {
     /// Computes the features of the first `count` windows; fewer when `stop` is set meanwhile.
-    fn fill(network: &Network, mut loader: Loader, count: u64, stop: &AtomicBool) -> Result<Self, TrainError> {
+    fn fill(
+        network: &Network,
+        mut loader: Loader,
+        count: u64,
+        stop: &AtomicBool,
+    ) -> Result<Self, TrainError> {
         let mut cache = Self { features: Vec::new(), world_from_camera: Vec::new(), names: Vec::new() };
         while (cache.features.len() as u64) < count {
             if stop.load(Ordering::Relaxed) && !cache.features.is_empty() {

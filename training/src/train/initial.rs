@@ -28,7 +28,10 @@ pub struct Initial {
 ///
 /// # Errors
 /// When the checkpoint cannot be read or the network does not fit the stages.
-pub fn plan(recipe: &Recipe, path: &Path) -> Result<(NetworkConfig, Preprocessing, Option<Checkpoint>), TrainError> {
+pub fn plan(
+    recipe: &Recipe,
+    path: &Path,
+) -> Result<(NetworkConfig, Preprocessing, Option<Checkpoint>), TrainError> {
     let bad = |key: String, problem: String| ConfigError::Value { path: path.into(), key, problem };
     let file = recipe.init.as_ref().and_then(|init| init.checkpoint.as_deref());
     let checkpoint = file.map(Checkpoint::load).transpose()?;

@@ -118,7 +118,10 @@ fn share(
     Ok(Share {
         weight,
         loss: number(&total)?,
-        parts: parts.iter().map(|(name, tensor)| Ok((name.clone(), number(tensor)?))).collect::<Result<_, TrainError>>()?,
+        parts: parts
+            .iter()
+            .map(|(name, tensor)| Ok((name.clone(), number(tensor)?)))
+            .collect::<Result<_, TrainError>>()?,
         grads: total.backward()?,
     })
 }

@@ -48,12 +48,8 @@ mod tests {
 
     #[test]
     fn the_papers_schedule_halves_four_times() {
-        let schedule = Schedule {
-            learning_rate: 1e-3,
-            warmup_steps: 0,
-            decay: Decay::HalveEveryFifth,
-            steps: 100,
-        };
+        let schedule =
+            Schedule { learning_rate: 1e-3, warmup_steps: 0, decay: Decay::HalveEveryFifth, steps: 100 };
         let rates = [0, 19, 20, 40, 60, 80, 99].map(|step| schedule.at(step));
         assert_eq!(rates, [1e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.25e-5, 6.25e-5]);
     }

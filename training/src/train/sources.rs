@@ -175,7 +175,9 @@ impl Opening<'_> {
             return Err(option(format!("\"{name}\""), "the name of a data set of the recipe").into());
         };
         if above.iter().any(|n| n == name) {
-            return Err(option(format!("\"{name}\" mixed into itself"), "data sets that are not mixtures").into());
+            return Err(
+                option(format!("\"{name}\" mixed into itself"), "data sets that are not mixtures").into()
+            );
         }
         let (windows, camera): (Arc<dyn Windows>, Option<Camera>) = match config {
             DataConfig::Rendered(options) => {
@@ -232,7 +234,8 @@ impl Opening<'_> {
             }
         }
         let camera = recordings.iter().find_map(|recording| recording.camera);
-        let windows = RecordedWindows::new(&config.path, &recordings, self.input(None), config.windows.clone())?;
+        let windows =
+            RecordedWindows::new(&config.path, &recordings, self.input(None), config.windows.clone())?;
         Ok((windows, camera))
     }
 

@@ -78,9 +78,11 @@ pub fn restore_weights(
     device: &Device,
 ) -> Result<(), TrainError> {
     let tensor = |stored: &StateTensor| Tensor::from_slice(&stored.values, stored.shape.as_slice(), device);
-    let weights = state.tensors.iter().filter(|(name, _)| !name.starts_with("adam.") && !name.starts_with(LOSS));
-    let weights: Vec<_> =
-        weights.map(|(name, stored)| Ok((name.clone(), tensor(stored)?))).collect::<Result<_, TrainError>>()?;
+    let weights =
+        state.tensors.iter().filter(|(name, _)| !name.starts_with("adam.") && !name.starts_with(LOSS));
+    let weights: Vec<_> = weights
+        .map(|(name, stored)| Ok((name.clone(), tensor(stored)?)))
+        .collect::<Result<_, TrainError>>()?;
     parameters.restore(weights)?;
     for (name, var) in homoscedastic.into_iter().flat_map(Homoscedastic::vars) {
         let stored = state.tensors.get(&name).ok_or(TrainError::State { what: name })?;

@@ -64,7 +64,9 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, TrainError> {
         let homoscedastic = match recipe.loss {
             Loss::Paper => None,
-            Loss::Learned => Some(Homoscedastic::initial(&sources.normalisation().targets, &recipe.heads(), &device)?),
+            Loss::Learned => {
+                Some(Homoscedastic::initial(&sources.normalisation().targets, &recipe.heads(), &device)?)
+            }
         };
         let validator = match &recipe.validation {
             Some(validation) => Some(Validator::new(validation, sources)?),
@@ -76,9 +78,22 @@ impl<'a> Trainer<'a> {
             at = state::position(saved)?;
             state::restore_weights(saved, &mut parameters, homoscedastic.as_ref(), &device)?;
             folder.truncate_log(at.step)?;
-            elapsed_s = folder.read_log()?.iter().filter_map(|entry| entry.elapsed_s).next_back().unwrap_or(0.0);
+            elapsed_s =
+                folder.read_log()?.iter().filter_map(|entry| entry.elapsed_s).next_back().unwrap_or(0.0);
         }
-        Ok(Self { recipe, sources, device, parameters, homoscedastic, folder, validator, resumed, at, started: Instant::now(), elapsed_s })
+        Ok(Self {
+            recipe,
+            sources,
+            device,
+            parameters,
+            homoscedastic,
+            folder,
+            validator,
+            resumed,
+            at,
+            started: Instant::now(),
+            elapsed_s,
+        })
     }
 
     /// Trains to the end, or until `stop` is set.
@@ -149,7 +164,8 @@ impl<'a> Trainer<'a> {
                 let what = if grads.is_some() { "gradient" } else { "loss" };
                 let poses = poses(&world_from_camera)?;
                 let others = [("world_from_camera", &poses)];
-                let batch = self.folder.save_bad_batch(self.at.step, &names, input.tensor(), &others, &parts)?;
+                let batch =
+                    self.folder.save_bad_batch(self.at.step, &names, input.tensor(), &others, &parts)?;
                 return Err(self.not_finite(stage, what, &parts, batch));
             }
             self.parameters.follow(statistics)?;
@@ -164,7 +180,13 @@ impl<'a> Trainer<'a> {
                 let entry = lines.entry(frames);
                 let stage = stage.name.clone();
                 let step = self.at.step;
-                self.folder.log(&LogEntry { step, stage, lr: Some(lr), elapsed_s: Some(elapsed_s), ..entry })?;
+                self.folder.log(&LogEntry {
+                    step,
+                    stage,
+                    lr: Some(lr),
+                    elapsed_s: Some(elapsed_s),
+                    ..entry
+                })?;
             }
             self.validate(stage, last)?;
             if saved_at.elapsed() >= Duration::from_secs(self.recipe.save_every_s) {
@@ -247,7 +269,8 @@ impl<'a> Trainer<'a> {
         parts: &BTreeMap<String, f64>,
         batch: std::path::PathBuf,
     ) -> TrainError {
-        let parts = parts.iter().map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join(", ");
+        let parts =
+            parts.iter().map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join(", ");
         TrainError::NotFinite { stage: stage.name.clone(), step: self.at.step, what, parts, batch }
     }
 }

@@ -145,7 +145,8 @@ impl Predicted {
         match head {
             Head::Relative => {
                 let motions = self.poses.iter().skip(1);
-                let composed = motions.copied().try_fold(Pose::identity(), |sum, motion| Some(sum * motion?))?;
+                let composed =
+                    motions.copied().try_fold(Pose::identity(), |sum, motion| Some(sum * motion?))?;
                 Some(difference(&self.motion(), &composed))
             }
             Head::Global | Head::Fused => Some(difference(self.truth.last()?, &(*self.poses.last()?)?)),
