@@ -48,25 +48,25 @@ pub enum ConfigError {
 pub enum TrainError {
     /// The recipe cannot be used.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(Box<ConfigError>),
     /// Training data cannot be read.
     #[error("cannot get training windows")]
-    Data(#[from] DataError),
+    Data(#[source] Box<DataError>),
     /// The recording cannot be opened.
     #[error(transparent)]
-    Evaluate(#[from] EvaluateError),
+    Evaluate(Box<EvaluateError>),
     /// The run folder cannot be used.
     #[error(transparent)]
-    Run(#[from] RunError),
+    Run(Box<RunError>),
     /// A checkpoint cannot be read or written.
     #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
+    Checkpoint(Box<CheckpointError>),
     /// The network cannot be built or run.
     #[error(transparent)]
-    Model(#[from] ModelError),
+    Model(Box<ModelError>),
     /// Foreign weights cannot be taken over.
     #[error(transparent)]
-    Import(#[from] ImportError),
+    Import(Box<ImportError>),
     /// A tensor operation failed.
     #[error("a tensor operation failed")]
     Tensor(#[from] candle_core::Error),
@@ -115,3 +115,24 @@ pub enum TrainError {
     #[error("cannot start the computing threads")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
+
+/// The errors of the parts are large and rare: kept behind a pointer.
+macro_rules! boxed {
+    ($($variant:ident: $error:ty),* $(,)?) => {$(
+        impl From<$error> for TrainError {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        }
+    )*};
+}
+
+boxed!(
+    Config: ConfigError,
+    Data: DataError,
+    Evaluate: EvaluateError,
+    Run: RunError,
+    Checkpoint: CheckpointError,
+    Model: ModelError,
+    Import: ImportError,
+);

@@ -26,7 +26,7 @@ const SAMPLE: u64 = 400;
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum DataConfig {
     /// Rendered on the fly in synthetic rooms.
-    Rendered(RenderedOptions),
+    Rendered(Box<RenderedOptions>),
     /// Cut from a recording.
     Recorded(Box<RecordedConfig>),
     /// Other data sets by name, each with its share.
@@ -181,7 +181,7 @@ impl Opening<'_> {
         }
         let (windows, camera): (Arc<dyn Windows>, Option<Camera>) = match config {
             DataConfig::Rendered(options) => {
-                let windows = RenderedWindows::new(self.input(None), options.clone())?;
+                let windows = RenderedWindows::new(self.input(None), RenderedOptions::clone(options))?;
                 let camera = windows.camera();
                 (Arc::new(windows), Some(camera))
             }
