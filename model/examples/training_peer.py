@@ -1,4 +1,4 @@
-"""The same training steps in PyTorch: `training_peer.py PRESET WINDOWS [THREADS]`, with the protocol of `training_step.rs`."""
+"""The same training steps in PyTorch: `training_peer.py PRESET WINDOWS THREADS`, with the protocol of `training_step.rs`."""
 
 import resource
 import sys
@@ -100,9 +100,8 @@ class Network(nn.Module):
 
 
 def main():
-    preset, windows, *threads = sys.argv[1:]
-    if threads:
-        torch.set_num_threads(int(threads[0]))
+    preset, windows, threads = sys.argv[1:]
+    torch.set_num_threads(int(threads))
     torch.manual_seed(7)
     c = PRESETS[preset]
     network = Network(c).train()

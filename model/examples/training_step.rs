@@ -1,7 +1,8 @@
-//! Training steps on demand, to be timed beside another implementation: `training_step PRESET WINDOWS [THREADS]`.
+//! Training steps on demand, to be timed beside another implementation: `training_step PRESET WINDOWS THREADS`.
 //!
 //! Every line on stdin asks for one step (forward, backward and Adam over `WINDOWS` windows of K frames); the answer is
-//! a line "milliseconds of wall clock, of processor time, peak memory in KiB". `scripts/bench-training` drives it.
+//! a line "milliseconds of wall clock, of processor time, peak memory in KiB". `scripts/bench-training` drives it, and sets
+//! RAYON_NUM_THREADS to the same number, by which candle counts its own threads.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, Write};
@@ -15,13 +16,11 @@ use grnet_model::{BatchStatistics, HeadTensors, Network, NetworkConfig, Preproce
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [preset, windows, threads @ ..] = arguments.as_slice() else {
-        anyhow::bail!("usage: training_step PRESET WINDOWS [THREADS]");
+    let [preset, windows, threads] = arguments.as_slice() else {
+        anyhow::bail!("usage: training_step PRESET WINDOWS THREADS");
     };
-    if let Some(threads) = threads.first() {
-        let threads = threads.parse().with_context(|| format!("{threads:?} is no number of threads"))?;
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
-    }
+    let threads = threads.parse().with_context(|| format!("{threads:?} is no number of threads"))?;
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     let windows: usize = windows.parse().with_context(|| format!("{windows:?} is no number of windows"))?;
     let mut step = Step::new(&NetworkConfig::preset(preset)?, windows)?;
     for line in std::io::stdin().lock().lines() {

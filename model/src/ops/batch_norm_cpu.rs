@@ -10,6 +10,9 @@ const LANES: usize = 16;
 /// Additions to each lane before it is emptied into a double.
 const PER_LANE: usize = 64;
 
+/// The maps of one channel, to be written.
+type ChannelMaps<'a> = Vec<&'a mut [f32]>;
+
 /// Sizes of a batch of maps (N, C, map).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Maps {
@@ -26,8 +29,8 @@ impl Maps {
     }
 
     /// The maps of every channel, to be written.
-    fn by_channel<'a>(&self, values: &'a mut [f32]) -> Vec<Vec<&'a mut [f32]>> {
-        let mut channels: Vec<Vec<&mut [f32]>> =
+    fn by_channel<'a>(&self, values: &'a mut [f32]) -> Vec<ChannelMaps<'a>> {
+        let mut channels: Vec<ChannelMaps<'_>> =
             (0..self.channels).map(|_| Vec::with_capacity(self.images)).collect();
         for (i, map) in values.chunks_exact_mut(self.map).enumerate() {
             channels[i % self.channels].push(map);
@@ -47,7 +50,7 @@ pub(super) fn forward(
     activation: Activation,
 ) -> (Vec<f32>, ChannelMoments) {
     let mut y = vec![0.0; x.len()];
-    let task = |(channel, y): (usize, Vec<&mut [f32]>)| {
+    let task = |(channel, y): (usize, ChannelMaps<'_>)| {
         pulp::Arch::new().dispatch(|| {
             let (mean, variance) = match given {
                 Some(given) => (given.mean[channel], given.variance[channel]),
@@ -103,7 +106,7 @@ pub(super) fn backward(
         Some(values) => maps.by_channel(values).into_iter().map(Some).collect(),
         None => (0..maps.channels).map(|_| None).collect(),
     };
-    let task = |(channel, (dx, residual)): (usize, (Vec<&mut [f32]>, Option<Vec<&mut [f32]>>))| {
+    let task = |(channel, (dx, residual)): (usize, (ChannelMaps<'_>, Option<ChannelMaps<'_>>))| {
         pulp::Arch::new().dispatch(|| {
             let mean = moments.mean[channel];
             let inverse = inverse_deviation(moments.variance[channel], eps);
