@@ -86,7 +86,8 @@ impl PoseHead {
         Ok(HeadTensors {
             translation: self.fc4.forward(x)?,
             rotation: self.fc5.forward(x)?,
-            log_variance: self.log_variance.as_ref().map(|layer| layer.forward(x)).transpose()?,
+            // What says how uncertain a pose is must not change the pose: its gradient ends here.
+            log_variance: self.log_variance.as_ref().map(|layer| layer.forward(&x.detach())).transpose()?,
         })
     }
 }

@@ -183,7 +183,7 @@ def heads(w, config, x, name):
         "rotation": linear(w, x, f"{name}.fc5", {"quaternion": 4, "rotation_6d": 6}[config["rotation"]]),
     }
     if config["log_variance"]:
-        out["log_variance"] = linear(w, x, f"{name}.log_variance", 6)
+        out["log_variance"] = linear(w, x.detach(), f"{name}.log_variance", 6)
     return out
 
 

@@ -235,7 +235,8 @@ impl<'a> Trainer<'a> {
             params.insert(name.clone(), AdamParam { var: var.clone(), lr_multiplier });
         }
         let homoscedastic = self.homoscedastic.iter().flat_map(Homoscedastic::vars);
-        params.extend(homoscedastic.map(|(name, var)| (name, AdamParam { var, lr_multiplier: 1.0 })));
+        // Adam moves a variable by about its rate at every step: these have to follow errors that fall by orders of magnitude.
+        params.extend(homoscedastic.map(|(name, var)| (name, AdamParam { var, lr_multiplier: 10.0 })));
         params
     }
 
