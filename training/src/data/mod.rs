@@ -12,7 +12,8 @@
 //! | [`statistics`] | poses without images, to learn means and scales from |
 //!
 //! A window is a pure function of its source and its index: there is no state that could differ after a resume, and
-//! neither the number of threads nor the machine changes a bit. Random draws come from ChaCha with the seed as its
+//! neither the number of threads nor the machine changes a bit (for recordings, as far as the locked versions of the image
+//! decoder and the resizer do not, whose arithmetic is whole numbers). Random draws come from ChaCha with the seed as its
 //! key and the index as its stream; curves and rotations use IEEE arithmetic and the `libm` crate only.
 
 pub mod augment;
