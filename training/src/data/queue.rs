@@ -74,6 +74,7 @@ impl Loader {
     ///
     /// # Errors
     /// When one of its windows cannot be made.
+    #[expect(clippy::should_implement_trait, reason = "there is no last batch, so callers need no `Option`")]
     pub fn next(&mut self) -> Result<Batch, DataError> {
         let index = self.next;
         self.next += 1;

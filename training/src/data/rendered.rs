@@ -50,7 +50,8 @@ pub struct RenderedOptions {
     pub focal_px: f64,
     /// Size of a texel on walls and furniture in millimetres: a coarse one is built sooner.
     pub texel_mm: f64,
-    /// Rays per pixel on silhouettes.
+    /// Rays per pixel on silhouettes. The resize to the network's input smooths them too, so 1 does; 4 takes twice as
+    /// long.
     pub edge_samples: usize,
     /// Least and largest strength of the sensor's noise, drawn for each window: 1 is a webcam of 640 pixels.
     pub noise: (f64, f64),
@@ -75,7 +76,7 @@ impl Default for RenderedOptions {
             size_px: (160, 120),
             focal_px: 525.0,
             texel_mm: 10.0,
-            edge_samples: 4,
+            edge_samples: 1,
             noise: (0.5, 1.5),
             vignetting: (0.1, 0.3),
             jump_share: 0.2,
@@ -108,11 +109,21 @@ struct Workshop {
 #[derive(Debug)]
 struct Shots {
     room: usize,
-    /// Pose, gain and number of the noise of each frame, in the window's order.
-    frames: Vec<(Pose, f32, u32)>,
+    /// In the window's order.
+    frames: Vec<Shot>,
     seed: u64,
     sensor: SensorOptions,
     kind: &'static str,
+}
+
+/// One frame before it is rendered.
+#[derive(Debug, Clone, Copy)]
+struct Shot {
+    world_from_camera: Pose,
+    /// Exposure relative to the sensor's normal.
+    gain: f32,
+    /// Which noise it has.
+    number: u32,
 }
 
 impl RenderedWindows {
@@ -177,12 +188,7 @@ impl RenderedWindows {
     }
 
     /// K frames along a path of their own, and its seed.
-    fn walk(
-        &self,
-        room: usize,
-        stride: u32,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<(Vec<(Pose, f32, u32)>, u64), SynthError> {
+    fn walk(&self, room: usize, stride: u32, rng: &mut ChaCha8Rng) -> Result<(Vec<Shot>, u64), SynthError> {
         const ATTEMPTS: u32 = 8;
         let (scene, volume) = &self.rooms[room];
         let k = self.options.window.k as u32;
@@ -201,15 +207,15 @@ impl RenderedWindows {
             found = path(attempt);
         }
         let path = found?;
-        let frame = |i: u32| {
-            let time_s = path.time_s(i * stride);
-            (path.world_from_camera(time_s), path.gain(time_s), i)
+        let frame = |number: u32| {
+            let time_s = path.time_s(number * stride);
+            Shot { world_from_camera: path.world_from_camera(time_s), gain: path.gain(time_s), number }
         };
         Ok(((0..k).map(frame).collect(), seed))
     }
 
     /// K frames each of which lies at random within some reach of the one before.
-    fn jump(&self, room: usize, rng: &mut ChaCha8Rng) -> Vec<(Pose, f32, u32)> {
+    fn jump(&self, room: usize, rng: &mut ChaCha8Rng) -> Vec<Shot> {
         const TRIES: usize = 50;
         let (scene, volume) = &self.rooms[room];
         let (reach_m, reach_rad) = (self.options.jump_m, self.options.jump_deg.to_radians());
@@ -222,8 +228,8 @@ impl RenderedWindows {
         };
         let mut gain = rng.random_range(0.8..1.25f32);
         (0..self.options.window.k as u32)
-            .map(|i| {
-                if i > 0 {
+            .map(|number| {
+                if number > 0 {
                     let near = |rng: &mut ChaCha8Rng| -> [f64; 6] {
                         std::array::from_fn(|axis| place[axis] + reach[axis] * rng.random_range(-1.0..1.0))
                     };
@@ -233,7 +239,7 @@ impl RenderedWindows {
                     place = next.unwrap_or(place);
                     gain = (gain * rng.random_range(0.98..1.02)).clamp(0.8, 1.25);
                 }
-                (pose_of(&place), gain, i)
+                Shot { world_from_camera: pose_of(&place), gain, number }
             })
             .collect()
     }
@@ -244,9 +250,9 @@ impl RenderedWindows {
     }
 
     fn posed(shots: &Shots, augmentation: &Augmentation) -> Vec<Pose> {
-        let turned = |(i, (pose, ..)): (usize, &(Pose, f32, u32))| match &augmentation.rotations {
-            Some(rotations) => pose * rotations[i],
-            None => *pose,
+        let turned = |(i, shot): (usize, &Shot)| match &augmentation.rotations {
+            Some(rotations) => shot.world_from_camera * rotations[i],
+            None => shot.world_from_camera,
         };
         shots.frames.iter().enumerate().map(turned).collect()
     }
@@ -267,7 +273,7 @@ impl RenderedWindows {
         world_from_camera: &Pose,
         workshop: &mut Workshop,
     ) -> Result<Result<Rgb, FrameError>, SynthError> {
-        let (_, gain, number) = shots.frames[i];
+        let Shot { gain, number, .. } = shots.frames[i];
         self.rooms[shots.room].0.render(world_from_camera, &self.camera, &mut workshop.target)?;
         let key = FrameKey { seed: shots.seed, sequence: FIRST_SEQUENCE, index: number };
         let mut rgb = Vec::new();
@@ -459,7 +465,7 @@ mod tests {
         for index in 0..VIEWS {
             let mut shots = windows.shots(index).unwrap();
             shots.sensor.vary_exposure = false;
-            let pose = shots.frames[0].0;
+            let pose = shots.frames[0].world_from_camera;
             let small = windows.picture(&shots, 0, &pose, &mut workshop).unwrap().unwrap();
             let (a, b, c) = compare(&small, &recorded(&fine, &pose));
             (apart, sharp, expected) = (apart + a, sharp + b, expected + c);
