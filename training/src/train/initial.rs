@@ -88,6 +88,10 @@ pub fn weights(
         parameters.restore(import::resnet50(&file, network)?)?;
     }
     parameters.centre_heads(&centred, normalisation)?;
+    let foreign = recipe.init.as_ref().is_some_and(|init| init.resnet50.is_some());
+    if centred.contains(&Part::Rcnn1) && !foreign {
+        parameters.start_with_differences()?;
+    }
     Ok(Initial { parameters, metadata, heads, source })
 }
 
