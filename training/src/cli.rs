@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use grnet_train::{evaluate, init, score, synth};
+use grnet_train::{check, evaluate, init, join, score, synth};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -20,6 +20,8 @@ enum Command {
     Init(init::InitArgs),
     Score(score::ScoreArgs),
     Evaluate(evaluate::command::EvaluateArgs),
+    Join(join::command::JoinArgs),
+    Check(check::command::CheckArgs),
 }
 
 impl Cli {
@@ -30,6 +32,8 @@ impl Cli {
             Command::Init(args) => init::run(&args),
             Command::Score(args) => score::run(&args),
             Command::Evaluate(args) => evaluate::command::run(&args),
+            Command::Join(args) => join::command::run(&args),
+            Command::Check(args) => check::command::run(&args),
         }
     }
 }
