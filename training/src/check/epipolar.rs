@@ -48,17 +48,36 @@ pub fn distances(pair: &Pair, first_from_second: &Pose, focal_px: f64, scale: f6
     pair.tracks.iter().map(sampson).filter(|distance| distance.is_finite()).collect()
 }
 
-/// The middle distance over all pairs, in pixels; `first_from_second` may say that a pair has no motion to judge by.
-pub fn score(
+/// How well motions fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fit {
+    /// The middle distance of the middle pair, in pixels: what is told.
+    pub middle_px: f64,
+    /// Mean of `d^2 / (d^2 + 1)` (Geman and McClure) over the pairs: what is minimised, as it is smooth and does not
+    /// mind tracks that went astray.
+    pub cost: f64,
+}
+
+/// The fit over all pairs; every pair counts the same, however many corners it has. `first_from_second` may say that a
+/// pair has no motion to judge by.
+pub fn fit(
     pairs: &[Pair],
     focal_px: f64,
     scale: f64,
     first_from_second: impl Fn(&Pair) -> Option<Pose>,
-) -> Option<f64> {
-    // Every pair counts the same, however many corners it has.
-    let of_pair = |pair: &Pair| median(&distances(pair, &first_from_second(pair)?, focal_px, scale));
-    let all: Vec<f64> = pairs.iter().filter_map(of_pair).collect();
-    median(&all)
+) -> Option<Fit> {
+    let (mut middles, mut costs) = (Vec::new(), Vec::new());
+    for pair in pairs {
+        let Some(motion) = first_from_second(pair) else { continue };
+        let distances = distances(pair, &motion, focal_px, scale);
+        if let Some(middle) = median(&distances) {
+            middles.push(middle);
+            // Of a finite distance only: an infinite one costs all.
+            let cost = |d: &f64| if d.is_finite() { d * d / (d * d + 1.0) } else { 1.0 };
+            costs.push(distances.iter().map(cost).sum::<f64>() / distances.len() as f64);
+        }
+    }
+    Some(Fit { middle_px: median(&middles)?, cost: costs.iter().sum::<f64>() / costs.len() as f64 })
 }
 
 fn homogeneous(point: &Vector2<f64>) -> Vector3<f64> {
@@ -127,7 +146,11 @@ mod tests {
     fn the_true_motion_fits_and_others_do_not() {
         let motion = Pose::new(Vector3::new(0.2, 0.05, 0.1), Vector3::new(0.02, -0.1, 0.03));
         let pairs = [pair(&motion)];
-        let score = |motion: Pose, scale| score(&pairs, 500.0, scale, |_| Some(motion)).unwrap();
+        let score = |motion: Pose, scale| {
+            let fit = fit(&pairs, 500.0, scale, |_| Some(motion)).unwrap();
+            assert!((0.0..=1.0).contains(&fit.cost));
+            fit.middle_px
+        };
         assert!(score(motion, 1.0) < 1e-9);
         assert!(score(motion.inverse(), 1.0) > 5.0);
         assert!(score(motion, 1.1) > 0.3);
@@ -140,7 +163,7 @@ mod tests {
     fn without_a_baseline_the_rotation_alone_is_judged() {
         let motion = Pose::new(Vector3::zeros(), Vector3::new(0.0, 0.1, 0.0));
         let pairs = [pair(&motion)];
-        assert!(score(&pairs, 500.0, 1.0, |_| Some(motion)).unwrap() < 1e-9);
-        assert!(score(&pairs, 500.0, 1.0, |_| Some(Pose::identity())).unwrap() > 20.0);
+        assert!(fit(&pairs, 500.0, 1.0, |_| Some(motion)).unwrap().middle_px < 1e-9);
+        assert!(fit(&pairs, 500.0, 1.0, |_| Some(Pose::identity())).unwrap().middle_px > 20.0);
     }
 }

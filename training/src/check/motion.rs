@@ -9,7 +9,7 @@ use grnet_frame::{Camera, Distortion};
 use grnet_geometry::se3;
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion};
 
-use super::epipolar::{Pair, score};
+use super::epipolar::{Fit, Pair, fit};
 use super::finding::{Finding, Severity};
 use super::pairs::collect;
 
@@ -75,11 +75,16 @@ struct Judge<'a> {
 impl Judge<'_> {
     fn findings(&self) -> Vec<Finding> {
         let given = |pair: &Pair| self.motion(pair, 0.0, |pose| pose);
-        let (focal_scale, with_focal) = self.best_focal(&given);
-        let Some(as_given) = self.score(1.0, given) else { return Vec::new() };
-        let as_given = if self.is_guess { with_focal } else { as_given };
-        let Some(wrong) = self.score(1.0, |pair| self.motion_elsewhere(pair)) else { return Vec::new() };
-        let fits = as_given < (FITS_PX * self.width() / 640.0).max(FITS_SHARE * wrong);
+        let elsewhere = self.fit(1.0, |pair| self.motion_elsewhere(pair));
+        let (Some(as_given), Some(elsewhere), Some((focal_scale, with_focal))) =
+            (self.fit(1.0, given), elsewhere, self.best_focal(&given))
+        else {
+            return Vec::new();
+        };
+        let as_given = if self.is_guess { with_focal } else { as_given.middle_px };
+        let wrong = elsewhere.middle_px;
+        let limit = (FITS_PX * self.width() / 640.0).max(FITS_SHARE * wrong);
+        let fits = as_given < limit;
 
         let mut findings = Vec::new();
         let measured = format!(
@@ -90,11 +95,12 @@ impl Judge<'_> {
         if fits {
             findings.push(Finding::new(Severity::Note, "poses-fit", measured.clone(), ""));
         }
-        if let Some(finding) = self.convention(as_given) {
+        if let Some(finding) = self.convention(as_given, limit) {
             findings.push(finding);
         } else {
-            let time = self.shift(as_given);
-            let focal = self.focal(focal_scale, with_focal, as_given, fits);
+            // What does not explain the distance is no explanation.
+            let time = self.shift(limit);
+            let focal = if with_focal < limit { self.focal(focal_scale, with_focal, as_given) } else { None };
             if time.is_none() && focal.is_none() && !fits {
                 let advice = "the ground truth is of another recording or camera, or its clock is off by more than a \
                               few frames: see `grnet-train join --time-offset` and `--body-from-camera`";
@@ -106,9 +112,9 @@ impl Judge<'_> {
         findings
     }
 
-    fn score(&self, scale: f64, motion: impl Fn(&Pair) -> Option<Pose>) -> Option<f64> {
+    fn fit(&self, scale: f64, motion: impl Fn(&Pair) -> Option<Pose>) -> Option<Fit> {
         let (fx, fy) = self.camera.focal_px();
-        score(&self.pairs, (fx + fy) / 2.0, scale, motion)
+        fit(&self.pairs, (fx + fy) / 2.0, scale, motion)
     }
 
     fn width(&self) -> f64 {
@@ -130,8 +136,8 @@ impl Judge<'_> {
     }
 
     /// Inverted poses, other axes, or both.
-    fn convention(&self, as_given: f64) -> Option<Finding> {
-        let mut best: Option<(f64, bool, usize)> = None;
+    fn convention(&self, as_given: f64, limit: f64) -> Option<Finding> {
+        let mut best: Option<(Fit, bool, usize)> = None;
         let turns = quarter_turns();
         for is_inverted in [false, true] {
             for (index, given_from_camera) in turns.iter().enumerate() {
@@ -139,14 +145,18 @@ impl Judge<'_> {
                     let pose = if is_inverted { pose.inverse() } else { pose };
                     pose * Pose::from_parts(Translation3::identity(), *given_from_camera)
                 };
-                if let Some(score) = self.score(1.0, |pair| self.motion(pair, 0.0, change))
-                    && best.is_none_or(|(least, ..)| score < least)
+                if let Some(fit) = self.fit(1.0, |pair| self.motion(pair, 0.0, change))
+                    && best.is_none_or(|(least, ..)| fit.cost < least.cost)
                 {
-                    best = Some((score, is_inverted, index));
+                    best = Some((fit, is_inverted, index));
                 }
             }
         }
-        let (score, is_inverted, index) = best.filter(|(score, ..)| *score < EXPLAINED * as_given)?;
+        let (fit, is_inverted, index) = best?;
+        let score = fit.middle_px;
+        if score > limit.min(EXPLAINED * as_given) {
+            return None;
+        }
         let axes = axes(&turns[index]);
         let with = format!("corners miss by {score:.2} px instead of {as_given:.2} px");
         let (kind, found, advice) = match (is_inverted, axes) {
@@ -171,7 +181,7 @@ impl Judge<'_> {
     }
 
     /// Poses that fit the images of some frames earlier or later.
-    fn shift(&self, as_given: f64) -> Option<Finding> {
+    fn shift(&self, limit: f64) -> Option<Finding> {
         let shifts: Vec<f64> = (-MOST_SHIFT..=MOST_SHIFT).map(|half| f64::from(half) / 2.0).collect();
         let widest = f64::from(MOST_SHIFT) / 2.0;
         // All shifts are judged on the same pairs.
@@ -180,18 +190,19 @@ impl Judge<'_> {
         };
         let scores = shifts.iter().filter_map(|shift| {
             let motion = |pair: &Pair| inside(pair).then(|| self.motion(pair, *shift, |pose| pose))?;
-            Some((*shift, self.score(1.0, motion)?))
+            Some((*shift, self.fit(1.0, motion)?))
         });
-        let scores: Vec<(f64, f64)> = scores.collect();
-        let unshifted = scores.iter().find(|(shift, _)| *shift == 0.0)?.1;
-        let (shift, best) = scores.iter().copied().min_by(|a, b| a.1.total_cmp(&b.1))?;
-        if shift == 0.0 || best > EXPLAINED_BY_TIME * unshifted {
+        let scores: Vec<(f64, Fit)> = scores.collect();
+        let unshifted = scores.iter().find(|(shift, _)| *shift == 0.0)?.1.middle_px;
+        let (shift, best) = scores.iter().copied().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
+        let best = best.middle_px;
+        if shift == 0.0 || best > limit || best > EXPLAINED_BY_TIME * unshifted {
             return None;
         }
         let period_s = self.recording.nominal_rate_hz.map_or(f64::NAN, |rate_hz| 1.0 / rate_hz);
         let found = format!(
             "the poses are {} by about {} frames ({:.3} s): moved, corners miss by {best:.2} px instead of \
-             {unshifted:.2} px (measured: {as_given:.2} px over all pairs)",
+             {unshifted:.2} px",
             if shift > 0.0 { "late" } else { "early" },
             shift.abs(),
             shift.abs() * period_s
@@ -201,22 +212,18 @@ impl Judge<'_> {
     }
 
     /// The factor on the focal length that fits best, and what it leaves.
-    fn best_focal(&self, given: &impl Fn(&Pair) -> Option<Pose>) -> (f64, f64) {
+    fn best_focal(&self, given: &impl Fn(&Pair) -> Option<Pose>) -> Option<(f64, f64)> {
         // Half to twice the given one, in steps of 2 %.
-        let scales: Vec<f64> = (-35..=35).map(|step| 1.02f64.powi(step)).collect();
-        let scores: Vec<f64> =
-            scales.iter().map(|scale| self.score(*scale, given).unwrap_or(f64::INFINITY)).collect();
-        let best = (0..scales.len()).min_by(|a, b| scores[*a].total_cmp(&scores[*b])).unwrap_or_default();
-        (scales[best], scores[best])
+        let scales = (-35..=35).map(|step| 1.02f64.powi(step));
+        let fits = scales.filter_map(|scale| Some((scale, self.fit(scale, given)?)));
+        let (scale, fit) = fits.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
+        Some((scale, fit.middle_px))
     }
 
-    fn focal(&self, scale: f64, with_focal: f64, as_given: f64, fits: bool) -> Option<Finding> {
+    fn focal(&self, scale: f64, with_focal: f64, as_given: f64) -> Option<Finding> {
         let focal_px = (self.camera.focal_px().0 + self.camera.focal_px().1) / 2.0;
         let better_px = focal_px * scale;
         if self.is_guess {
-            if !fits {
-                return None;
-            }
             let found =
                 format!("the intrinsics are not known; a focal length of about {better_px:.0} px fits best");
             let advice = "calibrate the camera and put camera-intrinsics.txt beside the images";
