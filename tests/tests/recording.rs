@@ -138,7 +138,7 @@ fn a_live_recording_is_stamped_with_the_time_of_day_and_survives_a_kill() {
     let folder = rig.folder().join("live");
     let mut daemon =
         rig.daemon_with(&["--record", folder.to_str().unwrap()], &["source.loop=true", "record.format=jpeg"]);
-    daemon.stderr_line_with("recording");
+    daemon.stderr_line_with("recording folder=");
     // Each sample is one more frame; the disk is not far behind.
     let mut tail = rig.tail(&["--json"]);
     while list(&folder).len() < 20 {
@@ -179,7 +179,7 @@ fn a_disk_without_room_ends_the_recording_and_not_the_daemon() {
     let folder = rig.folder().join("greedy");
     let mut daemon =
         rig.daemon_with(&["--record", folder.to_str().unwrap()], &["source.loop=true", "source.pace=4.0"]);
-    daemon.stderr_line_with("recording");
+    daemon.stderr_line_with("recording folder=");
     let mut tail = rig.tail(&["--json"]);
     while list(&folder).len() < 3 {
         tail.json();
