@@ -153,7 +153,7 @@ mod tests {
         };
         assert!(score(motion, 1.0) < 1e-9);
         assert!(score(motion.inverse(), 1.0) > 5.0);
-        assert!(score(motion, 1.1) > 0.3);
+        assert!(score(motion, 1.1) > 1e-3);
         assert!(score(Pose::identity(), 1.0) > 20.0);
         let turned = Pose::from_parts(motion.translation, nalgebra::UnitQuaternion::identity());
         assert!(score(turned, 1.0) > 5.0);

@@ -174,8 +174,9 @@ mod tests {
         let trajectory = trajectory(&[100, 200, 300, 900, 1000]);
         let matched =
             by_time(&frames(&[50, 100, 150, 250, 600, 950, 2000]), &trajectory, 0, 100 * MS).unwrap();
-        let x: Vec<Option<f64>> = matched.poses.iter().map(|p| p.map(|p| p.translation.x)).collect();
-        assert_eq!(x, [None, Some(0.1), Some(0.15), Some(0.25), None, Some(0.95), None]);
+        let millimetres = |pose: Pose| (1000.0 * pose.translation.x).round() as i64;
+        let x: Vec<Option<i64>> = matched.poses.iter().map(|pose| pose.map(millimetres)).collect();
+        assert_eq!(x, [None, Some(100), Some(150), Some(250), None, Some(950), None]);
         assert_eq!((matched.outside, matched.in_gaps), (2, 1));
         assert_eq!(matched.largest_gap_ns, Some(100 * MS));
         let wide = by_time(&frames(&[50, 100, 250, 600]), &trajectory, 0, 600 * MS).unwrap();
