@@ -31,6 +31,8 @@ const WRONG_FOCAL: f64 = 0.2;
 /// Poses fit when they leave this many pixels of a 640 px wide image, or this share of what wrong motions leave.
 const FITS_PX: f64 = 1.5;
 const FITS_SHARE: f64 = 0.4;
+/// A convention of axes has to fit better than that.
+const SURE_SHARE: f64 = 0.15;
 
 /// Farthest shift in frames, in steps of half a frame.
 const MOST_SHIFT: i32 = 6;
@@ -85,6 +87,8 @@ impl Judge<'_> {
         let wrong = elsewhere.middle_px;
         let limit = (FITS_PX * self.width() / 640.0).max(FITS_SHARE * wrong);
         let fits = as_given < limit;
+        // Among so many conventions one comes near by chance.
+        let sure = (FITS_PX * self.width() / 640.0).max(SURE_SHARE * wrong);
 
         let mut findings = Vec::new();
         let measured = format!(
@@ -95,7 +99,7 @@ impl Judge<'_> {
         if fits {
             findings.push(Finding::new(Severity::Note, "poses-fit", measured.clone(), ""));
         }
-        if let Some(finding) = self.convention(as_given, limit) {
+        if let Some(finding) = self.convention(as_given, sure) {
             findings.push(finding);
         } else {
             // What does not explain the distance is no explanation.
