@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`dataset`] | reads the folders of 7-Scenes, KITTI odometry, TUM RGB-D, EuRoC/ASL, COLMAP and plain images into [`dataset::Recording`]s: paths, times, intrinsics, true poses |
 //! | [`folder`] | [`FolderSource`] plays a recording: at real-time pace like a camera, by a factor, or as fast as possible |
+//! | [`record`] | [`RecordingWriter`] writes frames to a folder that [`dataset`] reads |
 //! | [`v4l2`] | [`V4l2Source`] captures from a V4L2 camera; lists cameras; survives unplugging |
 //! | [`decode`] | PNG and JPEG files and buffers to [`Pixels`](grnet_frame::Pixels) |
 //! | [`clock`] | `CLOCK_MONOTONIC`, the clock of every live source |
@@ -22,9 +23,11 @@ pub mod conformance;
 pub mod dataset;
 pub mod decode;
 pub mod folder;
+pub mod record;
 pub mod v4l2;
 
 pub use folder::{FolderOptions, FolderSource, Pace};
+pub use record::RecordingWriter;
 pub use v4l2::{V4l2Options, V4l2Source};
 
 #[cfg(test)]

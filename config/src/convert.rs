@@ -37,6 +37,7 @@ pub(crate) fn config(raw: Raw) -> Checked<GrnetdConfig> {
         },
         tracking: tracking(raw.tracking)?,
         publish: publish(raw.publish)?,
+        record: record(raw.record)?,
         log: log(raw.log)?,
     })
 }
@@ -245,6 +246,19 @@ fn publish(raw: RawPublish) -> Checked<PublishConfig> {
         )?),
         status_rate_hz: within("publish.status_rate_hz", raw.status_rate_hz, 2.0, 50.0)?,
         wait_for_subscribers: within("publish.wait_for_subscribers", raw.wait_for_subscribers, 0, 16)?,
+    })
+}
+
+fn record(raw: RawRecord) -> Checked<RecordConfig> {
+    let quality = within("record.jpeg_quality", raw.jpeg_quality, 1, 100)?;
+    Ok(RecordConfig {
+        folder: path("record.folder", raw.folder)?,
+        format: match raw.format {
+            RawImageFormat::Png => ImageFormat::Png,
+            RawImageFormat::Jpeg => ImageFormat::Jpeg { quality },
+        },
+        queue_frames: within("record.queue_frames", raw.queue_frames, 1, 1000)?,
+        least_free_bytes: within("record.least_free_mib", raw.least_free_mib, 0, 1_000_000)? << 20,
     })
 }
 

@@ -79,6 +79,11 @@ pub const KEYS: &[Key] = &[
     key("publish.creation_timeout_ms", "an integer from 1 to 1000 (milliseconds)"),
     key("publish.status_rate_hz", "a number from 2 to 50 (per second)"),
     key("publish.wait_for_subscribers", "an integer from 0 to 16"),
+    key("record.folder", "a folder"),
+    key("record.format", "\"png\" or \"jpeg\""),
+    key("record.jpeg_quality", "an integer from 1 to 100"),
+    key("record.queue_frames", "an integer from 1 to 1000 (frames)"),
+    key("record.least_free_mib", "an integer from 0 to 1000000 (MiB)"),
     key(
         "log.level",
         "\"error\", \"warn\", \"info\", \"debug\", \"trace\", or directives such as \"info,grnet_capture=debug\"",
@@ -156,7 +161,7 @@ fn split(key: &Key) -> (&'static str, &'static str) {
 
 /// A name without its unit.
 fn stem(name: &str) -> &str {
-    const UNITS: [&str; 10] = ["_ns", "_us", "_ms", "_s", "_sec", "_px", "_m", "_hz", "_rad", "_deg"];
+    const UNITS: [&str; 11] = ["_ns", "_us", "_ms", "_s", "_sec", "_px", "_m", "_hz", "_rad", "_deg", "_mib"];
     UNITS.iter().find_map(|unit| name.strip_suffix(unit)).unwrap_or(name)
 }
 

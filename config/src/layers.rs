@@ -95,6 +95,7 @@ impl Layers {
         let mut config = convert::config(raw).map_err(|invalid| self.locate(invalid))?;
         self.anchor("source.path", &mut config.source.path);
         self.anchor("model.checkpoint", &mut config.model.checkpoint);
+        self.anchor("record.folder", &mut config.record.folder);
         if let Some(scene) = &mut config.model.scene {
             self.anchor("model.scene", scene);
         }

@@ -47,6 +47,8 @@ pub struct GrnetdConfig {
     pub tracking: TrackingConfig,
     /// `[publish]`: how poses leave the daemon.
     pub publish: PublishConfig,
+    /// `[record]`: how frames are written to disk.
+    pub record: RecordConfig,
     /// `[log]`: what is written to stderr.
     pub log: LogConfig,
 }
@@ -234,6 +236,31 @@ impl PublishConfig {
 pub enum Access {
     /// Processes of the same Unix user, stock iceoryx2 clients included.
     User,
+}
+
+/// `[record]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordConfig {
+    /// Where a recording that is asked for without a folder gets one of its own.
+    pub folder: PathBuf,
+    /// Format of images that do not come as JPEG.
+    pub format: ImageFormat,
+    /// Frames that may wait for the disk.
+    pub queue_frames: usize,
+    /// A recording ends before the file system has fewer free bytes than this.
+    pub least_free_bytes: u64,
+}
+
+/// `record.format`, with `record.jpeg_quality`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// Without loss.
+    Png,
+    /// Small.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+    },
 }
 
 /// `[log]`.

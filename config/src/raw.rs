@@ -17,6 +17,7 @@ pub(crate) struct Raw {
     pub frames: RawFrames,
     pub tracking: RawTracking,
     pub publish: RawPublish,
+    pub record: RawRecord,
     pub log: RawLog,
 }
 
@@ -318,6 +319,35 @@ impl Default for RawPublish {
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RawAccess {
     User,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct RawRecord {
+    pub folder: PathBuf,
+    pub format: RawImageFormat,
+    pub jpeg_quality: u8,
+    pub queue_frames: usize,
+    pub least_free_mib: u64,
+}
+
+impl Default for RawRecord {
+    fn default() -> Self {
+        Self {
+            folder: "/var/lib/grnet/recordings".into(),
+            format: RawImageFormat::Png,
+            jpeg_quality: 95,
+            queue_frames: 32,
+            least_free_mib: 512,
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum RawImageFormat {
+    Png,
+    Jpeg,
 }
 
 #[derive(Debug, Deserialize)]

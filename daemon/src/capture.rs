@@ -10,6 +10,7 @@ use grnet_proto::SourceState;
 
 use crate::activity::Activity;
 use crate::failure::Failure;
+use crate::record::Tap;
 use crate::repeats::Repeats;
 use crate::service_manager::ServiceManager;
 use crate::slot::{Sent, SlotSender};
@@ -51,6 +52,8 @@ pub struct Capture {
     pub gate: Receiver<()>,
     /// Frames to the worker.
     pub frames: SlotSender<Captured>,
+    /// Frames to the disk, while a recording is on.
+    pub tap: Tap,
     /// Outages to the publisher.
     pub outages: Sender<Outage>,
     /// What is counted.
@@ -128,6 +131,7 @@ impl Watch {
                 Ok(Received::Timeout) => {}
                 Ok(Received::End) => {
                     tracing::info!(source = self.name, "the recording has ended");
+                    self.capture.tap.drain();
                     self.capture.state.set_source(SourceState::ENDED);
                     return Ok(());
                 }
@@ -141,7 +145,7 @@ impl Watch {
     }
 
     fn good(&mut self, mut frame: Frame) -> Sent {
-        let Capture { state, time_offset_ns, frames, stop, manager, .. } = &self.capture;
+        let Capture { state, time_offset_ns, frames, stop, manager, tap, .. } = &self.capture;
         state.counters.captured.fetch_add(1, Relaxed);
         let CaptureTime { ns, clock } = frame.capture_time;
         frame.capture_time = CaptureTime { ns: ns.saturating_add_signed(*time_offset_ns), clock };
@@ -154,6 +158,7 @@ impl Watch {
         if is_back {
             manager.status("publishing poses");
         }
+        tap.offer(&frame);
         let sent = frames.send(Captured { frame, losses: self.losses, outages: self.outages }, stop);
         self.last_good = Instant::now();
         self.pause = FIRST_PAUSE;
@@ -224,6 +229,7 @@ mod tests {
 
     use super::*;
     use crate::failure::Kind;
+    use crate::record::tap;
     use crate::scenes::ModelIdentity;
     use crate::slot::{WhenFull, slot};
     use crate::state::Identity;
@@ -313,6 +319,7 @@ mod tests {
             silence: Duration::from_millis(2),
             gate: opened,
             frames,
+            tap: tap(kind, 1, false, Stop::default()).0,
             outages,
             state: Arc::clone(&state),
             manager: Arc::clone(&manager),

@@ -25,7 +25,13 @@ shared memory full), 70 internal error, 77 no permission, 78 configuration, chec
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run until the recording ends or a signal comes.
-    Run(Configuration),
+    Run {
+        #[command(flatten)]
+        configuration: Configuration,
+        /// Record every frame of the source into this folder, which has to be new or empty; see [record].
+        #[arg(long, value_name = "DIR")]
+        record: Option<PathBuf>,
+    },
     /// Check the configuration to the end (weights, source, shared memory) and say what would run.
     Check(Configuration),
     /// List the cameras with formats, sizes, rates, controls and the configuration lines for each.
@@ -57,7 +63,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         }
     };
     let result = match cli.command {
-        Command::Run(configuration) => return run_daemon(&configuration),
+        Command::Run { configuration, record } => return run_daemon(&configuration, record),
         Command::Check(configuration) => {
             configuration.load().and_then(|loaded| check::check(&loaded, &mut std::io::stdout().lock()))
         }
@@ -66,8 +72,11 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     end(result, |failure| eprintln!("grnetd: error: {}", failure.chain()))
 }
 
-fn run_daemon(configuration: &Configuration) -> ExitCode {
-    let started = configuration.load().and_then(|loaded| Ok((logging::start(&loaded.config.log)?, loaded)));
+fn run_daemon(configuration: &Configuration, record: Option<PathBuf>) -> ExitCode {
+    let started = configuration.load().and_then(|loaded| {
+        let log = logging::start(&loaded.config.log)?;
+        Ok((log, Loaded { record, ..loaded }))
+    });
     let (log, loaded) = match started {
         Ok(started) => started,
         Err(failure) => return end(Err(failure), |failure| eprintln!("grnetd: error: {}", failure.chain())),
@@ -96,7 +105,7 @@ impl Configuration {
             .collect::<Result<_, _>>()
             .map_err(Failure::config)?;
         let config = GrnetdConfig::load(&self.config, &overrides).map_err(Failure::config)?;
-        Ok(Loaded { config, path: self.config.clone(), overrides })
+        Ok(Loaded { config, path: self.config.clone(), overrides, record: None })
     }
 }
 

@@ -14,6 +14,7 @@ use grnet_proto::{
 use crate::activity::Activity;
 use crate::convert;
 use crate::failure::Failure;
+use crate::record::{Ask, Asked};
 use crate::scenes::{SceneError, SceneLibrary};
 use crate::setup::Transport;
 use crate::state::State;
@@ -37,6 +38,8 @@ pub struct Control {
     pub scenes: SceneLibrary,
     /// Orders to the worker.
     pub orders: Sender<Order>,
+    /// Requests to the recorder.
+    pub recorder: Sender<Asked>,
     /// What is told.
     pub state: Arc<State>,
     /// Ends the thread.
@@ -45,7 +48,8 @@ pub struct Control {
     pub activity: Activity,
 }
 
-type Answer = (Outcome, String);
+/// What became of a request, in words.
+pub type Answer = (Outcome, String);
 
 /// Answers requests until the stop comes.
 ///
@@ -110,9 +114,11 @@ impl Control {
             Command::LOAD_SCENE => self.scene(|control| control.load_scene(&text)),
             Command::UNLOAD_SCENE => self.scene(|control| control.unload_scene(&text)),
             Command::SELECT_SCENE => self.scene(|control| control.select_scene(&text)),
-            Command::START_RECORDING | Command::STOP_RECORDING => {
-                (Outcome::UNSUPPORTED, "this daemon cannot record; record with a client instead".into())
+            Command::START_RECORDING if !text.is_empty() && Path::new(&text).is_relative() => {
+                (Outcome::INVALID, format!("{text} is not an absolute path"))
             }
+            Command::START_RECORDING => self.record(Ask::Start((!text.is_empty()).then(|| text.into()))),
+            Command::STOP_RECORDING => self.record(Ask::Stop),
             unknown => (Outcome::INVALID, format!("{unknown} is no command of this daemon")),
         }
     }
@@ -150,6 +156,27 @@ impl Control {
         };
         self.scenes.remove(name, &self.state.model());
         Ok(format!("scene {name} is unloaded; {done}"))
+    }
+
+    /// Asks the recorder, which answers between two frames.
+    fn record(&self, ask: Ask) -> Answer {
+        self.activity.wait();
+        let (reply, answer) = bounded(1);
+        let ending = || (Outcome::FAILED, "the daemon is ending".into());
+        let stop = self.stop.channel();
+        let asked = select! {
+            send(self.recorder, (ask, reply)) -> sent => sent.is_ok(),
+            recv(stop) -> _ => false,
+        };
+        if !asked {
+            return ending();
+        }
+        let answer = select! {
+            recv(answer) -> answer => answer.unwrap_or_else(|_| ending()),
+            recv(stop) -> _ => ending(),
+        };
+        self.activity.work();
+        answer
     }
 
     fn order(&self, what: Change) -> Answer {

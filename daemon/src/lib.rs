@@ -11,7 +11,7 @@
 //! | [`check`] | `grnetd check`: what would run |
 //! | [`devices`] | `grnetd devices`: which cameras there are |
 //! | [`run`] | the threads and their supervision |
-//! | [`capture`], [`worker`], [`publish`], [`control`] | one thread each |
+//! | [`capture`], [`worker`], [`publish`], [`control`], [`record`] | one thread each |
 //! | [`slot`] | between capture and worker: what happens to a frame that nobody has time for |
 //! | [`convert`] | pipeline types to wire types, nowhere else |
 //! | [`state`], [`latency`] | what the daemon knows about itself |
@@ -32,6 +32,7 @@ pub mod feed;
 pub mod latency;
 pub mod logging;
 pub mod publish;
+pub mod record;
 pub mod repeats;
 pub mod run;
 pub mod scenes;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crossbeam_channel::{bounded, select, unbounded};
+use grnet_capture::RecordingWriter;
 use grnet_config::{GrnetdConfig, Override};
 use grnet_frame::SourceKind;
 use grnet_proto::BootId;
@@ -13,6 +14,7 @@ use crate::control::{self, Control};
 use crate::failure::Failure;
 use crate::logging::LogHandle;
 use crate::publish::{self, Publish};
+use crate::record::{self, Record, Recorder};
 use crate::scenes::SceneLibrary;
 use crate::service_manager::ServiceManager;
 use crate::setup::Parts;
@@ -34,6 +36,8 @@ pub struct Loaded {
     pub path: PathBuf,
     /// What goes before it.
     pub overrides: Vec<Override>,
+    /// Record into this folder from the first frame on.
+    pub record: Option<PathBuf>,
 }
 
 /// Runs until the recording ends, a signal comes or something fails.
@@ -48,15 +52,27 @@ pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
     let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };
     parts.log();
     let state = Arc::new(parts.state()?);
+    // The last thing that a bad configuration can get wrong: it leaves no empty folder behind.
+    let recorder = Recorder::new(&loaded.config, &state.identity);
+    let first = loaded.record.as_deref().map(|folder| recorder.begin(folder)).transpose();
+    let recording = Recording { recorder, first: first.map_err(Failure::config)? };
 
-    let result = stream(parts, &loaded, Arc::clone(&state), Arc::clone(&manager), &signals, log);
+    let result = stream(parts, recording, &loaded, Arc::clone(&state), Arc::clone(&manager), &signals, log);
     tracing::info!("{}", state.summary());
     result
 }
 
+/// How frames are recorded, and the recording that begins with the first one.
+struct Recording {
+    recorder: Recorder,
+    first: Option<RecordingWriter>,
+}
+
 /// capture -> slot of one -> worker: preprocess -> infer -> fuse -> queue -> publish -> iceoryx2.
+/// Beside it, while a recording is on: capture -> queue -> record -> disk.
 fn stream(
     parts: Parts,
+    recording: Recording,
     loaded: &Loaded,
     state: Arc<State>,
     manager: Arc<ServiceManager>,
@@ -66,14 +82,17 @@ fn stream(
     let Parts { transport, source, pipeline, model, .. } = parts;
     let GrnetdConfig { publish, source: source_config, model: files, .. } = &loaded.config;
     let kind = source.info().kind;
+    let mut threads = Supervisor::new(Arc::clone(&manager));
+    let stop = || threads.stop();
     let (slot_in, slot_out) = slot(WhenFull::from(kind), Arc::clone(&state.counters.slot_dropped));
     let (queue_in, queue_out) = bounded(QUEUE);
     let (outages_in, outages_out) = unbounded();
     let (orders_in, orders_out) = bounded(1);
     let (opened_in, opened_out) = bounded(1);
     let (gate_in, gate_out) = bounded(1);
-    let mut threads = Supervisor::new(Arc::clone(&manager));
-    let stop = || threads.stop();
+    let (asked_in, asked_out) = bounded(1);
+    let (tap, tapped) =
+        record::tap(kind, loaded.config.record.queue_frames, recording.first.is_some(), stop());
 
     let capture = Capture {
         source,
@@ -81,6 +100,7 @@ fn stream(
         silence: source_config.silence,
         gate: gate_out,
         frames: slot_in,
+        tap,
         outages: outages_in,
         state: Arc::clone(&state),
         manager: Arc::clone(&manager),
@@ -103,6 +123,16 @@ fn stream(
         opened: opened_out,
         scenes: SceneLibrary::new(&files.checkpoint, files.scene.as_deref(), &model),
         orders: orders_in,
+        recorder: asked_in,
+        state: Arc::clone(&state),
+        stop: stop(),
+        activity: Default::default(),
+    };
+    let record = Record {
+        recorder: recording.recorder,
+        first: recording.first,
+        tapped,
+        asked: asked_out,
         state: Arc::clone(&state),
         stop: stop(),
         activity: Default::default(),
@@ -126,6 +156,7 @@ fn stream(
     threads.start("publish", &publish.activity.clone(), move || publish::run(publish))?;
     threads.start("control", &control.activity.clone(), move || control::run(control))?;
     threads.start("worker", &worker.activity.clone(), move || worker::run(worker))?;
+    threads.start("record", &record.activity.clone(), move || record::run(record))?;
     threads.start("capture", &capture.activity.clone(), move || capture::run(capture))?;
     threads.supervise("publish", signals, &state, || reload(loaded, &manager, log))
 }
@@ -207,6 +238,7 @@ fn reload(loaded: &Loaded, manager: &ServiceManager, log: &LogHandle) {
                 ("frames", old.frames != new.frames),
                 ("tracking", old.tracking != new.tracking),
                 ("publish", old.publish != new.publish),
+                ("record", old.record != new.record),
                 ("log.format", old.log.format != new.log.format),
             ];
             let changed: Vec<&str> =

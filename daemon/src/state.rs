@@ -1,6 +1,7 @@
 //! What the daemon knows about itself, shared by its threads and told in every status message.
 
 use std::collections::VecDeque;
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -37,6 +38,10 @@ pub struct Counters {
     pub subscribers: AtomicU32,
     /// Jumps of the odometry frame.
     pub reset_epoch: AtomicU32,
+    /// Frames written to disk.
+    pub recorded: AtomicU64,
+    /// Frames that a recording lacks, for whatever reason.
+    pub unrecorded: AtomicU64,
 }
 
 impl Counters {
@@ -80,6 +85,7 @@ struct Inner {
     source: SourceState,
     last_status: Status,
     paused: bool,
+    recording: Option<String>,
     stopping: bool,
     model: ModelIdentity,
     scenes: Vec<SceneIdentity>,
@@ -97,6 +103,7 @@ impl State {
             source: SourceState::OPENING,
             last_status: Status::INITIALIZING,
             paused: false,
+            recording: None,
             stopping: false,
             model,
             scenes: Vec::new(),
@@ -122,6 +129,11 @@ impl State {
     /// An operator paused or resumed.
     pub fn set_paused(&self, paused: bool) {
         self.lock().paused = paused;
+    }
+
+    /// Frames are written into this folder, or nowhere any more.
+    pub fn set_recording(&self, folder: Option<&Path>) {
+        self.lock().recording = folder.map(|folder| folder.display().to_string());
     }
 
     /// The daemon is ending.
@@ -171,7 +183,8 @@ impl State {
         status.health = inner.health(counters.processed.load(Relaxed));
         status.source_state = inner.source;
         status.source = FixedText::new(source);
-        status.recording = Recording::OFF;
+        status.recording = if inner.recording.is_some() { Recording::ON } else { Recording::OFF };
+        status.recording_path = FixedText::new(inner.recording.as_deref().unwrap_or_default());
         status.provenance = if inner.model.trained { Provenance::TRAINED } else { Provenance::UNTRAINED };
         status.model_hash = ContentHash(inner.model.model_hash);
         status.model = FixedText::new(&inner.model.name);
@@ -209,6 +222,10 @@ impl State {
             counters.refused.load(Relaxed),
             counters.published.load(Relaxed),
         );
+        let (recorded, unrecorded) = (counters.recorded.load(Relaxed), counters.unrecorded.load(Relaxed));
+        if recorded + unrecorded > 0 {
+            text += &format!("; {recorded} frames recorded, {unrecorded} left out of the recording");
+        }
         for (stage, percentiles) in self.lock().latencies.whole().stages() {
             if percentiles.p50_us.is_finite() {
                 let ms = |us: f32| us / 1e3;

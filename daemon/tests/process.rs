@@ -6,8 +6,8 @@ use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
 
 use grnet_proto::{
-    Command, ControlClient, ControlRequest, Outcome, PoseSubscription, Reason, SourceState, Status,
-    StatusSubscription,
+    Command, ControlClient, ControlRequest, Outcome, PoseSubscription, Reason, Recording, SourceState,
+    Status, StatusSubscription,
 };
 use rig::{Daemon, Rig};
 use rustix::process::Signal;
@@ -260,8 +260,19 @@ fn control_requests_are_answered() {
     assert_eq!(call(here).0, Outcome::DONE);
     let (outcome, message, _) = call(ControlRequest::new(Command::SET_POSE));
     assert!(outcome == Outcome::INVALID && message.contains("not finite"), "{message}");
-    let (outcome, message, _) = call(ControlRequest::new(Command::START_RECORDING));
-    assert!(outcome == Outcome::UNSUPPORTED && message.contains("cannot record"), "{message}");
+    let (outcome, message, _) =
+        call(ControlRequest::with_text(Command::START_RECORDING, "relative/folder").unwrap());
+    assert!(outcome == Outcome::INVALID && message.contains("not an absolute path"), "{message}");
+    let folder = rig.path("recorded");
+    let (outcome, message, status) =
+        call(ControlRequest::with_text(Command::START_RECORDING, &folder).unwrap());
+    assert!(outcome == Outcome::DONE && status.recording == Recording::ON, "{message}");
+    while !std::fs::read_to_string(format!("{folder}/rgb.txt")).unwrap().contains("rgb/") {
+        next(&poses);
+    }
+    let (outcome, message, status) = call(ControlRequest::new(Command::STOP_RECORDING));
+    assert!(outcome == Outcome::DONE && status.recording == Recording::OFF, "{message}");
+    assert!(message.contains("frames recorded in"), "{message}");
     let (outcome, message, _) = call(ControlRequest::new(Command::NONE));
     assert!(outcome == Outcome::INVALID && message.contains("no command"), "{message}");
 }

@@ -55,6 +55,11 @@ impl Rig {
 
     /// `grnetd run` on this rig, with further `key=value` settings.
     pub fn daemon(&self, settings: &[&str]) -> Process {
+        self.daemon_with(&[], settings)
+    }
+
+    /// The same with further arguments.
+    pub fn daemon_with(&self, arguments: &[&str], settings: &[&str]) -> Process {
         let config = self.folder().join("grnetd.toml");
         let text = format!(
             "[source]\npath = {:?}\n[model]\ncheckpoint = {:?}\n[publish]\nroot = {:?}\nprefix = \"e2e_\"\n[frames]\n\
@@ -65,7 +70,7 @@ impl Rig {
         );
         fs::write(&config, text).unwrap();
         let mut command = Command::new(program("grnetd"));
-        command.arg("run").arg("--config").arg(&config);
+        command.arg("run").arg("--config").arg(&config).args(arguments);
         for setting in settings {
             command.arg("--set").arg(setting);
         }

@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use grnet_train::{evaluate, init, score, synth, train};
+use grnet_train::{check, evaluate, init, join, score, synth, train};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -22,6 +22,8 @@ enum Command {
     Scene(train::scene::SceneArgs),
     Score(score::ScoreArgs),
     Evaluate(evaluate::command::EvaluateArgs),
+    Join(join::command::JoinArgs),
+    Check(check::command::CheckArgs),
 }
 
 impl Cli {
@@ -40,6 +42,8 @@ impl Cli {
             }
             Command::Score(args) => score::run(&args),
             Command::Evaluate(args) => evaluate::command::run(&args),
+            Command::Join(args) => join::command::run(&args),
+            Command::Check(args) => check::command::run(&args),
         }
     }
 }

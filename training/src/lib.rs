@@ -3,10 +3,13 @@
 #![deny(missing_docs)]
 
 pub mod baselines;
+pub mod check;
 pub mod data;
+pub mod dataset_args;
 pub mod evaluate;
 pub mod import;
 pub mod init;
+pub mod join;
 pub mod loss;
 pub mod report;
 pub mod run;

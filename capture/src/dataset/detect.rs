@@ -30,7 +30,7 @@ pub(crate) fn list(layout: Layout, path: &Path, options: &OpenOptions) -> Result
         Layout::Euroc => euroc::list(path, options),
         Layout::Tum => single_camera(tum::list(path, options)),
         Layout::Colmap => colmap::list(path, options),
-        Layout::Images => single_camera(images::list(path)),
+        Layout::Images => single_camera(images::list(path, options)),
     }
 }
 

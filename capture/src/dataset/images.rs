@@ -2,15 +2,18 @@
 //!
 //! Names that are times give the time stamps: decimals with a fraction are seconds (`1305031102.175304.png`),
 //! whole numbers of sixteen digits or more are nanoseconds (`1403636579763555584.png`). Other names follow each
-//! other at 30 Hz. `camera-intrinsics.txt` (a 3x3 matrix) is read where it is there. Subfolders are not entered.
+//! other at 30 Hz. `camera-intrinsics.txt` (a 3x3 matrix) and `groundtruth.txt` (any format that
+//! [`OpenOptions::poses`] takes) are read where they are there. Subfolders are not entered.
 
+use grnet_geometry::Pose;
 use std::path::Path;
 
 use super::intrinsics::read_matrix;
 use super::listing::{Listed, Listing, PoseOrigin, Set, folder_name, images};
-use super::pose_table::key_of;
+use super::pose::Invalid;
+use super::pose_table::{PoseTable, key_of};
 use super::text::parse_seconds_ns;
-use super::{DatasetError, Layout};
+use super::{DatasetError, Layout, OpenOptions};
 
 /// What identifies the layout.
 pub(crate) const LOOKED_FOR: &str = "PNG or JPEG images";
@@ -21,7 +24,7 @@ pub(crate) fn fits(path: &Path) -> bool {
     images(path).is_ok_and(|found| !found.is_empty())
 }
 
-pub(crate) fn list(path: &Path) -> Result<Set, DatasetError> {
+pub(crate) fn list(path: &Path, options: &OpenOptions) -> Result<Set, DatasetError> {
     let found = images(path)?;
     if found.is_empty() {
         return Err(DatasetError::Empty {
@@ -47,13 +50,21 @@ pub(crate) fn list(path: &Path) -> Result<Set, DatasetError> {
         }
         None => notes.push(format!("the names are no time stamps: frames are taken to come at {RATE_HZ} Hz")),
     }
+    let mut invalid = Invalid::new(options.invalid_poses);
+    let truth = path.join("groundtruth.txt");
+    let poses = if options.poses.is_none() && truth.is_file() {
+        let table = PoseTable::read_any(&truth, &mut invalid)?;
+        PoseOrigin::Table { table, sensor_from_camera: Pose::identity() }
+    } else {
+        PoseOrigin::None
+    };
     let id = folder_name(path);
     let listing = Listing {
         name: format!("images {id}"),
         id,
         frames,
-        poses: PoseOrigin::None,
-        invalid_poses: 0,
+        poses,
+        invalid_poses: invalid.count,
         intrinsics: read_matrix(&path.join("camera-intrinsics.txt"))?,
         default_rate_hz: RATE_HZ,
         notes,

@@ -78,9 +78,41 @@ impl Intrinsics {
     }
 }
 
-/// Reads `camera-intrinsics.txt`: three rows of a 3x3 camera matrix.
+/// Reads `camera-intrinsics.txt`, three rows of a 3x3 camera matrix, and `camera-distortion.txt` beside it, where
+/// there is one.
 pub(crate) fn read_matrix(path: &Path) -> Result<Option<Intrinsics>, DatasetError> {
-    TextFile::read_if_present(path)?.map(|file| parse_matrix(&file)).transpose()
+    let Some(file) = TextFile::read_if_present(path)? else { return Ok(None) };
+    let mut intrinsics = parse_matrix(&file)?;
+    if let Some(file) = TextFile::read_if_present(&path.with_file_name("camera-distortion.txt"))? {
+        intrinsics.distortion = parse_distortion(&file)?;
+    }
+    Ok(Some(intrinsics))
+}
+
+/// One line: the model and its coefficients.
+fn parse_distortion(file: &TextFile) -> Result<Distortion, DatasetError> {
+    let expected = "one line `none`, `plumb_bob k1 k2 p1 p2 k3` or `equidistant k1 k2 k3 k4`";
+    let mut lines = file.data_lines();
+    let line = lines.next().unwrap_or_else(|| file.end());
+    let coefficients = |fields: &[&str]| -> Result<Vec<f64>, DatasetError> {
+        fields.iter().map(|field| line.finite(field, expected)).collect()
+    };
+    let distortion = match line.fields().as_slice() {
+        ["none"] => Distortion::None,
+        ["plumb_bob", fields @ ..] if fields.len() == 5 => {
+            let k = coefficients(fields)?;
+            Distortion::PlumbBob(std::array::from_fn(|i| k[i]))
+        }
+        ["equidistant", fields @ ..] if fields.len() == 4 => {
+            let k = coefficients(fields)?;
+            Distortion::Equidistant(std::array::from_fn(|i| k[i]))
+        }
+        _ => return Err(line.unexpected(expected)),
+    };
+    match lines.next() {
+        Some(line) => Err(line.unexpected("the end of the file after one line")),
+        None => Ok(distortion),
+    }
 }
 
 pub(crate) fn parse_matrix(file: &TextFile) -> Result<Intrinsics, DatasetError> {
@@ -140,6 +172,27 @@ mod tests {
             ("525 0 320\n0 1 240\n0 0 1\n0 0 1\n", "k.txt, line 4: found \"0 0 1\""),
             ("525 0 nan\n", "k.txt, line 1: found \"525 0 nan\""),
             ("525 0\n", "k.txt, line 1: found 2 fields"),
+        ] {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.starts_with(start), "{error}");
+        }
+    }
+
+    #[test]
+    fn distortion_is_read_or_named_by_line() {
+        let parse =
+            |text: &str| parse_distortion(&TextFile::from_bytes(Path::new("d.txt"), text.into()).unwrap());
+        assert_eq!(
+            parse("# lens\nplumb_bob 1 2 3 4 5\n").unwrap(),
+            Distortion::PlumbBob([1., 2., 3., 4., 5.])
+        );
+        assert_eq!(parse("equidistant 1 2 3 4\n").unwrap(), Distortion::Equidistant([1., 2., 3., 4.]));
+        assert_eq!(parse("none\n").unwrap(), Distortion::None);
+        for (text, start) in [
+            ("", "d.txt, line 1: found the end of the file"),
+            ("plumb_bob 1 2 3 4\n", "d.txt, line 1: found \"plumb_bob 1 2 3 4\""),
+            ("equidistant 1 2 3 x\n", "d.txt, line 1: found \"x\""),
+            ("none\nnone\n", "d.txt, line 2: found \"none\""),
         ] {
             let error = parse(text).unwrap_err().to_string();
             assert!(error.starts_with(start), "{error}");

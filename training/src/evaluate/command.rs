@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use grnet_capture::dataset::{Layout, OpenOptions};
 use grnet_model::LoadedModel;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -15,6 +14,7 @@ use super::{
     methods,
     score::{path_m, score},
 };
+use crate::dataset_args::DatasetArgs;
 use crate::report;
 
 /// Judge checkpoints on a recording with ground truth, beside what they have to beat.
@@ -29,21 +29,9 @@ pub struct EvaluateArgs {
     /// Folder of the recording.
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
-    /// How the folder is laid out.
-    #[arg(long, value_enum, default_value_t = LayoutName::Auto)]
-    pub layout: LayoutName,
-    /// The one sequence to take, as `seq-01` or `06` [default: all].
-    #[arg(long, value_name = "NAME")]
-    pub sequence: Option<String>,
-    /// The camera to take where there are several, as `image_2` or `cam1`.
-    #[arg(long, value_name = "NAME")]
-    pub camera: Option<String>,
-    /// Ground truth of the camera instead of the layout's own: TUM, EuRoC or KITTI text.
-    #[arg(long, value_name = "FILE")]
-    pub poses: Option<PathBuf>,
-    /// Regular time stamps at this rate instead of the recorded ones.
-    #[arg(long, value_name = "HZ")]
-    pub rate: Option<f64>,
+    /// How the folder is read.
+    #[command(flatten)]
+    pub dataset: DatasetArgs,
     /// List of the frames that retrieval answers from [default: the official training split, if any].
     #[arg(long, value_name = "FILE")]
     pub train_list: Option<PathBuf>,
@@ -62,42 +50,6 @@ pub struct EvaluateArgs {
     /// Folder of the report; what an earlier report left there is replaced.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-}
-
-/// Layouts by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum LayoutName {
-    /// Found out from the folder's content.
-    Auto,
-    /// Microsoft 7-Scenes.
-    #[value(name = "7scenes")]
-    #[serde(rename = "7scenes")]
-    SevenScenes,
-    /// KITTI odometry.
-    Kitti,
-    /// TUM RGB-D.
-    Tum,
-    /// EuRoC/ASL.
-    Euroc,
-    /// COLMAP model with its images.
-    Colmap,
-    /// A folder of images.
-    Images,
-}
-
-impl From<LayoutName> for Layout {
-    fn from(name: LayoutName) -> Self {
-        match name {
-            LayoutName::Auto => Self::Auto,
-            LayoutName::SevenScenes => Self::SevenScenes,
-            LayoutName::Kitti => Self::Kitti,
-            LayoutName::Tum => Self::Tum,
-            LayoutName::Euroc => Self::Euroc,
-            LayoutName::Colmap => Self::Colmap,
-            LayoutName::Images => Self::Images,
-        }
-    }
 }
 
 /// Runs the command: evaluates, writes the report, prints the table.
@@ -161,14 +113,7 @@ impl EvaluateArgs {
 
     fn data_options(&self) -> DataOptions {
         DataOptions {
-            open: OpenOptions {
-                layout: self.layout.into(),
-                sequence: self.sequence.clone(),
-                camera_name: self.camera.clone(),
-                poses: self.poses.clone(),
-                rate_hz: self.rate,
-                ..OpenOptions::default()
-            },
+            open: self.dataset.open_options(),
             train_list: self.train_list.clone(),
             test_list: self.test_list.clone(),
         }

@@ -16,7 +16,7 @@ use super::normalisation::Normalisation;
 use crate::data::{
     DataError, Mixed, RecordedOptions, RecordedWindows, RenderedOptions, RenderedWindows, Windows, statistics,
 };
-use crate::evaluate::command::LayoutName;
+use crate::dataset_args::LayoutName;
 
 /// Windows of which the spread of the poses is measured.
 const SAMPLE: u64 = 400;
