@@ -53,6 +53,12 @@ bench-training: ## training steps beside PyTorch's, in turns (long; fetches PyTo
 	$(CARGO) build --release -p grnet-model --example training_step
 	@scripts/bench-training $${CARGO_TARGET_DIR:-target}/release/examples/training_step $${CARGO_TARGET_DIR:-target}/venv/bin/python
 
+.PHONY: train-models
+train-models: ## the shipped models from nothing (long; goes on where it was stopped)
+	@scripts/install-packages build
+	$(CARGO) build --workspace --bins
+	@scripts/train-models
+
 .PHONY: data-test
 data-test: ## the tests that read real recordings; they look in $$GRNET_DATA, else in ../shared/data
 	$(CARGO) test --workspace --lib --tests -- --nocapture data_

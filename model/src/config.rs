@@ -146,7 +146,10 @@ impl NetworkConfig {
         }
     }
 
-    /// A network that runs in real time on one small core: width 1/4 at 112x112, flattened pool, 6-D rotation.
+    /// A network that runs in real time on one small core: width 1/4 at 112x112, flattened pool, 6-D rotation, LSTMs of 128.
+    ///
+    /// Its LSTMs are re-run over the last K frames, as they were trained: with a state carried on over hundreds of frames the
+    /// odometry of the shipped model drifted several times as fast (`docs/results.md`).
     pub fn grnet_small() -> Self {
         Self {
             width: 0.25,
@@ -154,10 +157,11 @@ impl NetworkConfig {
             input_width_px: 112,
             rotation: Rotation::Rotation6d,
             spatial_pool: SpatialPool::Flatten { channels: 32 },
-            lstm_hidden: 256,
-            fc1: 256,
-            fc2: 256,
-            fc3: 256,
+            lstm_hidden: 128,
+            fc1: 128,
+            fc2: 128,
+            fc3: 128,
+            recurrence: Recurrence::RerunLastK,
             ..Self::grnet()
         }
     }

@@ -266,10 +266,11 @@ SMALL = GRNET | {
     "input_width_px": 112,
     "rotation": "rotation_6d",
     "spatial_pool": {"flatten": {"channels": 32}},
-    "lstm_hidden": 256,
-    "fc1": 256,
-    "fc2": 256,
-    "fc3": 256,
+    "lstm_hidden": 128,
+    "fc1": 128,
+    "fc2": 128,
+    "fc3": 128,
+    "recurrence": "rerun_last_k",
 }
 TINY = GRNET | {"width": 0.125, "lstm_hidden": 20, "fc1": 24, "fc2": 28, "fc3": 32}
 ODD = TINY | {

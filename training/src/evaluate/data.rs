@@ -65,7 +65,10 @@ impl Data {
         };
         let train = match &options.train_list {
             Some(list) => views(Split::List(list.clone()))?,
-            None if test == Split::Test && path.join("TrainSplit.txt").is_file() => views(Split::Train)?,
+            // A pass that is for testing alone has an empty list.
+            None if test == Split::Test && lists_something(&path.join("TrainSplit.txt")) => {
+                views(Split::Train)?
+            }
             None => Vec::new(),
         };
         let mut notes: Vec<String> =
@@ -94,6 +97,10 @@ impl Data {
         let down: Vector3<f64> = poses.map(|pose| pose.rotation * Vector3::y()).sum();
         down.iamax()
     }
+}
+
+fn lists_something(split: &Path) -> bool {
+    std::fs::read_to_string(split).is_ok_and(|text| !text.trim().is_empty())
 }
 
 fn check(path: &Path, task: &Task) -> Result<(), EvaluateError> {
