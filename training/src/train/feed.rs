@@ -115,8 +115,8 @@ impl FeatureCache {
             let (_, channels, height, width) = features.dims4()?;
             let by_window = features.reshape((windows, frames, channels, height, width))?;
             for index in 0..windows {
-                // A copy of its own: a view would keep the whole batch in memory.
-                cache.features.push(by_window.get(index)?.copy()?);
+                // Its own numbers only: a view, and candle's `copy` of one, hold the whole batch.
+                cache.features.push(by_window.get(index)?.force_contiguous()?);
             }
             cache.world_from_camera.extend(world_from_camera);
             cache.names.extend(names);
