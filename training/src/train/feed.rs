@@ -76,6 +76,7 @@ impl Feed {
             let loader = Loader::start(windows, stage.batch, at.stage_step, recipe.loader_threads, AHEAD);
             return Ok(Self::Fresh(loader));
         }
+        eprintln!("{}: computing CNN1's features of {} windows to keep", stage.name, stage.cached_windows);
         let loader = Loader::start(windows, stage.batch, 0, recipe.loader_threads, AHEAD);
         let cache = FeatureCache::fill(network, loader, stage.cached_windows, stop)?;
         Ok(Self::Kept { cache, seed: recipe.seed, batch: stage.batch })
