@@ -1,5 +1,7 @@
 //! Windows from recordings: the right frames, the right poses, and the picture that the robot would see.
 
+#![allow(clippy::result_large_err)]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -232,8 +232,8 @@ fn trained_weights_stream_as_they_were_evaluated() {
     for (frame, pose) in streamed.iter().enumerate() {
         let raw: [f64; 6] = std::array::from_fn(|i| f64::from(rotations[0][frame][i]));
         let rotation = quaternion::from_6d(raw).unwrap();
-        for axis in 0..3 {
-            let difference = pose.translation.vector[axis] - f64::from(translations[0][frame][axis]);
+        for (streamed, evaluated) in pose.translation.vector.iter().zip(&translations[0][frame]) {
+            let difference = streamed - f64::from(*evaluated);
             assert!(difference.abs() < 1e-4, "frame {frame}: {difference} m");
         }
         assert!(se3::angle_rad(&(rotation.inverse() * pose.rotation)) < 1e-4, "frame {frame}");

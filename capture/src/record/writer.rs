@@ -107,7 +107,7 @@ impl RecordingWriter {
                 return Ok(Written::Unusable(error.to_string()));
             }
         };
-        if self.manifest.frames % LOOK_EVERY == 0 {
+        if self.manifest.frames.is_multiple_of(LOOK_EVERY) {
             require_space(&self.folder, self.options.least_free_bytes)?;
         }
         self.describe(frame)?;

@@ -150,7 +150,7 @@ fn upright(poses: &mut [Option<Pose>], gravity: Gravity) -> Result<f64, JoinErro
         }
     };
     // The mean of unit vectors that point everywhere is short.
-    if !(down.norm() > 0.1) {
+    if down.norm() <= 0.1 || down.norm().is_nan() {
         return Err(fail(format!(
             "found no clear direction down (length {:.3}): give it as x,y,z in the trajectory's world",
             down.norm()
