@@ -10,7 +10,7 @@ use super::{DataError, Window, Windows};
 /// Windows between two showings of the same one.
 const APART: u64 = 256;
 
-/// Shows every window of another source `times` times, [`APART`] windows apart, every other time backwards.
+/// Shows every window of another source `times` times, 256 windows apart, every other time backwards.
 ///
 /// Still a pure function of the index; what is kept in memory only saves making a window again.
 pub struct Echoed {
