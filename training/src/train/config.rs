@@ -217,12 +217,6 @@ impl Recipe {
         if init.is_some_and(|init| init.checkpoint.is_some() == init.resnet50.is_some()) {
             return bad("init", "give either `checkpoint` or `resnet50`".into());
         }
-        if self.network.is_none() && init.is_none_or(|init| init.checkpoint.is_none()) {
-            return bad(
-                "network",
-                "give `preset`, or a checkpoint under [init] whose network is taken".into(),
-            );
-        }
         Ok(())
     }
 }

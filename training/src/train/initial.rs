@@ -38,7 +38,10 @@ pub fn plan(
     let network = match (&recipe.network, &checkpoint) {
         (Some(table), _) => table.config().map_err(|problem| bad("network".into(), problem))?,
         (None, Some(checkpoint)) => checkpoint.metadata().network.clone(),
-        (None, None) => return Err(bad("network".into(), "there is none".into()).into()),
+        (None, None) => {
+            let problem = "give `preset`, or a checkpoint under [init] whose network is taken";
+            return Err(bad("network".into(), problem.into()).into());
+        }
     };
     for stage in &recipe.stages {
         let stage_key = |field| format!("stage \"{}\": {field}", stage.name);
