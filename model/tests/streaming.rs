@@ -77,7 +77,7 @@ fn windows_equal_streams_for_other_shapes() {
 
 #[test]
 fn carry_and_rerun_part_after_k_frames_and_not_before() {
-    let carry = tiny();
+    let carry = NetworkConfig { recurrence: Recurrence::Carry, ..tiny() };
     let rerun = NetworkConfig { recurrence: Recurrence::RerunLastK, ..carry.clone() };
     let stream = |config: &NetworkConfig| {
         let network = network(config);

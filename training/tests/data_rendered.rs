@@ -44,7 +44,7 @@ fn pictures_belong_to_their_poses_also_when_the_camera_is_rotated() {
     };
     let windows = windows(clean);
     let mut preprocessor = Preprocessor::new(input(), IntrinsicsOptions::default(), None).unwrap();
-    let mut target = RenderTarget::new(4);
+    let mut target = RenderTarget::new(windows.options().edge_samples);
     for index in 0..6 {
         let window = windows.window(index).unwrap();
         assert_eq!(windows.poses(index).unwrap(), window.world_from_camera);
