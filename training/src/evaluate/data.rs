@@ -60,7 +60,7 @@ impl Data {
         let official = recordings[0].layout == Layout::SevenScenes;
         let test = match &options.test_list {
             Some(list) => Split::List(list.clone()),
-            None if official && path.join("TestSplit.txt").is_file() => Split::Test,
+            None if official && lists_something(&path.join("TestSplit.txt")) => Split::Test,
             None => Split::All,
         };
         let train = match &options.train_list {
