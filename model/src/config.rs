@@ -149,7 +149,7 @@ impl NetworkConfig {
     /// A network that runs in real time on one small core: width 1/4 at 112x112, flattened pool, 6-D rotation, LSTMs of 128.
     ///
     /// Its LSTMs are re-run over the last K frames, as they were trained: with a state carried on over hundreds of frames the
-    /// odometry of the shipped model drifted several times as fast (`docs/results.md`).
+    /// odometry drifted faster (`docs/results.md`).
     pub fn grnet_small() -> Self {
         Self {
             width: 0.25,
