@@ -57,15 +57,45 @@ pub struct RecordedConfig {
     /// List of the frames to take [default: the official training split, or all frames].
     #[serde(default)]
     pub list: Option<PathBuf>,
-    /// Frames at the end of each sequence that are kept apart for validation.
+    /// Frames at one end of each sequence that are kept apart for validation.
     #[serde(default)]
     pub hold_out: usize,
+    /// Which end: where the place goes on after the recording, its last frames are the ones to learn from.
+    #[serde(default)]
+    pub hold_out_at: HoldOutAt,
     /// Take the frames kept apart instead of the others.
     #[serde(default)]
     pub held_out: bool,
     /// Windows and augmentation.
     #[serde(default)]
     pub windows: RecordedOptions,
+}
+
+/// The end of a sequence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum HoldOutAt {
+    /// The first frames.
+    Start,
+    /// The last frames.
+    #[default]
+    End,
+}
+
+impl RecordedConfig {
+    /// Leaves the frames that are asked for: those kept apart, or the others.
+    fn choose<T>(&self, frames: &mut Vec<T>) {
+        let kept = self.hold_out.min(frames.len());
+        let (first, is_first_part) = match self.hold_out_at {
+            HoldOutAt::Start => (kept, self.held_out),
+            HoldOutAt::End => (frames.len() - kept, !self.held_out),
+        };
+        if is_first_part {
+            frames.truncate(first);
+        } else {
+            frames.drain(..first);
+        }
+    }
 }
 
 /// Every data set of a recipe.
@@ -226,12 +256,7 @@ impl Opening<'_> {
         let mut recordings =
             dataset::open(&config.path, &options).map_err(crate::evaluate::EvaluateError::from)?;
         for recording in &mut recordings {
-            let first_held = recording.frames.len().saturating_sub(config.hold_out);
-            if config.held_out {
-                recording.frames.drain(..first_held);
-            } else {
-                recording.frames.truncate(first_held);
-            }
+            config.choose(&mut recording.frames);
         }
         let camera = recordings.iter().find_map(|recording| recording.camera);
         let windows =
@@ -241,5 +266,28 @@ impl Opening<'_> {
 
     fn input(&self, trained_camera: Option<Camera>) -> InputSpec {
         InputSpec { size_px: self.size_px, preprocessing: self.preprocessing.clone(), trained_camera }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(text: &str) -> Vec<u32> {
+        let config: RecordedConfig = toml::from_str(&format!("path = \"x\"\n{text}")).unwrap();
+        let mut frames = (0..5).collect();
+        config.choose(&mut frames);
+        frames
+    }
+
+    #[test]
+    fn both_ends_of_a_sequence_can_be_kept_apart() {
+        assert_eq!(chosen(""), [0, 1, 2, 3, 4]);
+        assert_eq!(chosen("hold_out = 2"), [0, 1, 2]);
+        assert_eq!(chosen("hold_out = 2\nheld_out = true"), [3, 4]);
+        assert_eq!(chosen("hold_out = 2\nhold_out_at = \"start\""), [2, 3, 4]);
+        assert_eq!(chosen("hold_out = 2\nhold_out_at = \"start\"\nheld_out = true"), [0, 1]);
+        assert!(chosen("hold_out = 9").is_empty());
+        assert_eq!(chosen("hold_out = 9\nheld_out = true"), [0, 1, 2, 3, 4]);
     }
 }
