@@ -32,6 +32,15 @@ test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusal
 	$(CARGO) build -p grnet-capture --features conformance --example v4l2_capture
 	@tests/vm/run
 
+.PHONY: test-systemd
+test-systemd: ## the Debian package and its units in a booted container: life cycle, access, faults (as root; makes a Debian once)
+	@tests/systemd/run
+
+.PHONY: deb
+deb: ## Debian packages of the release build, into target/debian (PROFILE=dev: of the build that the tests use)
+	@scripts/install-packages build deb
+	@scripts/package
+
 .PHONY: lint
 lint: ## formatting, clippy, docs, licences, bans and sources of the dependencies
 	@scripts/install-packages build

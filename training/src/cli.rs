@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use grnet_train::{check, evaluate, init, join, score, synth, train};
+use grnet_train::{check, evaluate, init, join, score, split, synth, train};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -24,6 +24,7 @@ enum Command {
     Evaluate(evaluate::command::EvaluateArgs),
     Join(join::command::JoinArgs),
     Check(check::command::CheckArgs),
+    Split(split::SplitArgs),
 }
 
 impl Cli {
@@ -44,6 +45,7 @@ impl Cli {
             Command::Evaluate(args) => evaluate::command::run(&args),
             Command::Join(args) => join::command::run(&args),
             Command::Check(args) => check::command::run(&args),
+            Command::Split(args) => split::run(&args),
         }
     }
 }

@@ -14,5 +14,6 @@ pub mod loss;
 pub mod report;
 pub mod run;
 pub mod score;
+pub mod split;
 pub mod synth;
 pub mod train;
