@@ -228,6 +228,16 @@ fn publish(raw: RawPublish) -> Checked<PublishConfig> {
             return refuse("publish.prefix", "it is no such name");
         }
     }
+    for (key, name) in [("publish.group", &raw.group), ("publish.control_group", &raw.control_group)] {
+        let Some(name) = name else { continue };
+        if !matches!(raw.access, RawAccess::Group) {
+            return refuse(key, "it needs publish.access = \"group\"");
+        }
+        let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.'));
+        if !plain || !(1..=32).contains(&name.len()) {
+            return refuse(key, "it is no such name");
+        }
+    }
     let bytes = root.as_ref().map_or(0, |root| root.as_os_str().len());
     if bytes + raw.prefix.as_ref().map_or("iox2_".len(), String::len) > 60 {
         return refuse("publish.root", "socket names below it would become too long");
@@ -235,7 +245,11 @@ fn publish(raw: RawPublish) -> Checked<PublishConfig> {
     Ok(PublishConfig {
         access: match raw.access {
             RawAccess::User => Access::User,
+            RawAccess::Group => Access::Group,
+            RawAccess::Everyone => Access::Everyone,
         },
+        group: raw.group,
+        control_group: raw.control_group,
         root,
         prefix: raw.prefix,
         creation_timeout: Duration::from_millis(within(

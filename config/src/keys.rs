@@ -73,7 +73,12 @@ pub const KEYS: &[Key] = &[
     key("tracking.rejections_allowed", "an integer from 0 to 100000 (frames)"),
     key("tracking.after_rejections", "\"reinitialise\" or \"lost\""),
     key("tracking.agreements_to_recover", "an integer from 1 to 1000 (frames)"),
-    key("publish.access", "\"user\""),
+    key("publish.access", "\"user\", \"group\" or \"everyone\""),
+    optional("publish.group", "the name or number of a group, together with publish.access = \"group\""),
+    optional(
+        "publish.control_group",
+        "the name or number of a group, together with publish.access = \"group\"",
+    ),
     optional("publish.root", "an absolute path; with the prefix at most 60 bytes"),
     optional("publish.prefix", "1 to 24 of a-z A-Z 0-9 _, together with publish.root"),
     key("publish.creation_timeout_ms", "an integer from 1 to 1000 (milliseconds)"),

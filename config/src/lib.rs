@@ -212,7 +212,12 @@ pub enum AfterRejections {
 pub struct PublishConfig {
     /// Who may subscribe.
     pub access: Access,
-    /// Folder of the iceoryx2 files instead of iceoryx2's own.
+    /// Whose members may subscribe, by name or number; the daemon's own group when `None`. With [`Access::Group`] alone.
+    pub group: Option<String>,
+    /// Whose members may ask for changes of the daemon's state; whoever may subscribe when `None`. With
+    /// [`Access::Group`] alone.
+    pub control_group: Option<String>,
+    /// Folder of the stream's files instead of the one that follows from the access.
     pub root: Option<PathBuf>,
     /// Prefix of the iceoryx2 file names instead of iceoryx2's own.
     pub prefix: Option<String>,
@@ -234,8 +239,12 @@ impl PublishConfig {
 /// `publish.access`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// Processes of the same Unix user, stock iceoryx2 clients included.
+    /// Processes of the same Unix user.
     User,
+    /// Members of a group, and root.
+    Group,
+    /// Every local user.
+    Everyone,
 }
 
 /// `[record]`.

@@ -4,7 +4,6 @@ use std::io::Write;
 
 use grnet_geometry::{Pose, quaternion};
 use grnet_model::Heads;
-use grnet_proto::access::free_shared_memory;
 use grnet_proto::{ContentHash, names, qos};
 
 use crate::failure::Failure;
@@ -33,8 +32,12 @@ fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
     line("services", [names::pose(camera), names::status(camera), names::control(camera)].join(", "));
     line("access", format!("{}, files under {}", transport.access, transport.root));
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let (needed, free) = (qos::shared_memory_needed_bytes(), free_shared_memory()?);
-    line("shared memory", format!("at most {:.1} MiB needed, {:.0} MiB free", mib(needed), mib(free)));
+    let (needed, free) = (qos::shared_memory_needed_bytes(), transport.root.free_space(transport.access)?);
+    let place = transport.root.file_system(transport.access);
+    line(
+        "shared memory",
+        format!("at most {:.1} MiB needed, {:.0} MiB free in {}", mib(needed), mib(free), place.display()),
+    );
 
     line("model", format!("{} (SHA-256 {})", model.name, ContentHash(model.model_hash)));
     line("", if model.trained { "trained".into() } else { "NOT TRAINED: its poses mean nothing".to_owned() });

@@ -27,6 +27,10 @@ const WAIT: Duration = Duration::from_millis(100);
 /// How often the leftovers of killed clients are looked for.
 const CLEAN_UP: Duration = Duration::from_secs(2);
 
+/// The answer to who went round the folder of the control group.
+const FOR_ANOTHER_GROUP: &str =
+    "requests that change the daemon's state are for members of publish.control_group";
+
 /// What the control thread works with.
 #[derive(Debug)]
 pub struct Control {
@@ -72,7 +76,11 @@ pub fn run(mut control: Control) -> Result<(), Failure> {
         control.activity.work();
         while let Some(pending) = server.receive()? {
             let request = pending.request();
-            let (outcome, message) = control.answer(&request);
+            let (outcome, message) = if request.command.changes_state() && !pending.may_change_state() {
+                (Outcome::REFUSED, FOR_ANOTHER_GROUP.to_owned())
+            } else {
+                control.answer(&request)
+            };
             tracing::info!(command = %request.command, %outcome, message, "request");
             let status = control.state.status(Now::read());
             pending.reply(&ControlReply::new(&request, outcome, &message, status))?;
