@@ -69,7 +69,7 @@ fn write_keys(roff: &mut Roff, section: &str, lines: &[&str], comment: &str) {
         let path = format!("{section}.{name}");
         let (value, allowed) = (line.split_once(" = ").map_or("", |(_, value)| value), allowed(&path));
         roff.control("TP", []);
-        let remark = if line.starts_with('#') { " (no default; for example)" } else { "" };
+        let remark = if line.starts_with('#') { " (an example; no default)" } else { "" };
         roff.text([bold(name), roman(format!(" = {value}{remark}"))]);
         if i == 0 && !comment.is_empty() {
             roff.text([roman(comment)]);
@@ -118,6 +118,6 @@ mod tests {
         let text = roff.to_roff();
         let expected = ".SH [log]\nAbout.\n.TP\n\\fBlevel\\fR = \"info\"\nHow much.\n.br\n";
         assert!(text.starts_with(expected), "{text}");
-        assert!(text.contains("\\fBformat\\fR = \"json\" (no default; for example)\n"), "{text}");
+        assert!(text.contains("\\fBformat\\fR = \"json\" (an example; no default)\n"), "{text}");
     }
 }

@@ -52,12 +52,12 @@ fn every_subcommand_has_a_page_that_man_accepts() {
         assert!(names.contains(&expected), "{expected} is not among {names:?}");
     }
     for page in &pages {
-        let text = accepts(&["groff", "-man", "-ww", "-Tutf8", "-P-c"], page);
+        let text = accepts(&["groff", "-man", "-ww", "-Tutf8", "-P-cbou"], page);
         for heading in ["NAME", "SYNOPSIS", "DESCRIPTION", "SEE ALSO"] {
             assert!(text.contains(heading), "{} has no {heading}:\n{text}", page.display());
         }
     }
-    let client = accepts(&["groff", "-man", "-Tutf8", "-P-c"], &folder.path().join("man/grnet-client.1"));
+    let client = accepts(&["groff", "-man", "-Tutf8", "-P-cbou"], &folder.path().join("man/grnet-client.1"));
     assert!(client.contains("EXIT STATUS") && client.contains("69 no daemon"), "{client}");
 }
 
@@ -83,8 +83,13 @@ fn the_shells_accept_their_completions() {
 fn bash_completes_a_subcommand() {
     let folder = written();
     let script = folder.path().join("completions/bash/grnet-client");
-    let ask = "source \"$0\"; COMP_WORDS=(grnet-client st); COMP_CWORD=1; _grnet-client grnet-client st grnet-client; \
-               printf '%s\\n' \"${COMPREPLY[@]}\"";
+    let ask = r#"
+        source "$0"
+        set -- $(complete -p grnet-client)
+        while [ "$1" != -F ]; do shift; done
+        COMP_WORDS=(grnet-client st); COMP_CWORD=1
+        "$2" grnet-client st grnet-client
+        printf '%s\n' "${COMPREPLY[@]}""#;
     let said = accepts(&["bash", "-c", ask], &script);
     assert_eq!(said.trim(), "status");
 }
