@@ -54,7 +54,7 @@ pub struct ControlClient {
     notifier: Notifier<ipc::Service>,
     client: Client<ipc::Service, ControlRequest, (), ControlReply, ()>,
     _events: Events,
-    _requests: Service,
+    requests: Service,
     service: String,
     next_request_id: u64,
 }
@@ -164,10 +164,15 @@ impl ControlClient {
             notifier,
             client,
             _events: events,
-            _requests: requests,
+            requests,
             service,
             next_request_id: 1,
         })
+    }
+
+    /// Whether somebody answers. A daemon that was killed counts until its leftovers are cleared away.
+    pub fn has_server(&self) -> bool {
+        self.requests.dynamic_config().number_of_servers() > 0
     }
 
     /// Asks and waits for the answer. The request's id is chosen here.
