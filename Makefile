@@ -50,6 +50,11 @@ lint: ## formatting, clippy, docs, licences, bans and sources of the dependencie
 	@$(CARGO) deny --version >/dev/null 2>&1 || { echo "installing cargo-deny"; $(CARGO) install cargo-deny --locked --debug --quiet; }
 	$(CARGO) deny --log-level error check bans licenses sources
 
+.PHONY: man
+man: ## man pages and shell completions, into target/man and target/completions (CARGO_FLAGS=--release reuses a release build)
+	@scripts/install-packages build
+	$(CARGO) run --quiet $(CARGO_FLAGS) -p grnet-manual -- $${CARGO_TARGET_DIR:-target}
+
 .PHONY: bench
 bench: ## criterion benches (long): geometry, preprocessing, network, publish to receive
 	@scripts/install-packages build

@@ -16,7 +16,7 @@ pub(crate) struct Invalid {
     pub problem: String,
 }
 
-type Checked<T> = Result<T, Invalid>;
+pub(crate) type Checked<T> = Result<T, Invalid>;
 
 pub(crate) fn config(raw: Raw) -> Checked<GrnetdConfig> {
     Ok(GrnetdConfig {
@@ -38,6 +38,7 @@ pub(crate) fn config(raw: Raw) -> Checked<GrnetdConfig> {
         tracking: tracking(raw.tracking)?,
         publish: publish(raw.publish)?,
         record: record(raw.record)?,
+        realtime: crate::realtime::realtime(raw.realtime)?,
         log: log(raw.log)?,
     })
 }
@@ -315,7 +316,7 @@ fn transform(key: &'static str, raw: RawTransform) -> Checked<Pose> {
     Ok(Pose::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
 }
 
-fn within<T: PartialOrd>(key: &'static str, value: T, least: T, most: T) -> Checked<T> {
+pub(crate) fn within<T: PartialOrd>(key: &'static str, value: T, least: T, most: T) -> Checked<T> {
     if value >= least && value <= most {
         Ok(value)
     } else {

@@ -19,6 +19,7 @@ mod error;
 mod keys;
 mod layers;
 mod raw;
+mod realtime;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,6 +29,7 @@ pub use error::{ConfigError, Origin};
 pub use keys::{KEYS, Key};
 pub use layers::Override;
 use nalgebra::Isometry3;
+pub use realtime::RealtimeConfig;
 
 /// A rigid transform: the same type as `grnet_geometry::Pose`.
 pub type Pose = Isometry3<f64>;
@@ -49,6 +51,8 @@ pub struct GrnetdConfig {
     pub publish: PublishConfig,
     /// `[record]`: how frames are written to disk.
     pub record: RecordConfig,
+    /// `[realtime]`: what is asked of the scheduler.
+    pub realtime: RealtimeConfig,
     /// `[log]`: what is written to stderr.
     pub log: LogConfig,
 }

@@ -18,6 +18,7 @@ pub(crate) struct Raw {
     pub tracking: RawTracking,
     pub publish: RawPublish,
     pub record: RawRecord,
+    pub realtime: crate::realtime::RawRealtime,
     pub log: RawLog,
 }
 

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use grnet_config::{GrnetdConfig, Override};
 
 use crate::failure::Failure;
@@ -50,6 +50,11 @@ struct Configuration {
     /// Set a key for this run, before what the file says; may be given several times.
     #[arg(long = "set", value_name = "SECTION.KEY=VALUE")]
     set: Vec<String>,
+}
+
+/// The command line, for those who describe it.
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Does what the arguments say; the result is the process's exit code.
@@ -111,8 +116,6 @@ impl Configuration {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
     use super::*;
 
     #[test]

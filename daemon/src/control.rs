@@ -111,7 +111,7 @@ impl Control {
             Command::STATUS => (Outcome::DONE, "the status is in the reply".into()),
             Command::RESET_ODOMETRY => self.order(Change::ResetOdometry),
             Command::SET_POSE => match convert::requested_pose(request) {
-                Ok(pose) => self.order(Change::SetPose(pose)),
+                Ok((pose, covariance)) => self.order(Change::SetPose(pose, covariance)),
                 Err(problem) => (Outcome::INVALID, problem),
             },
             Command::PAUSE => self.order(Change::Pause),

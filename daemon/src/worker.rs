@@ -57,8 +57,8 @@ pub struct Order {
 pub enum Change {
     /// Odometry starts anew.
     ResetOdometry,
-    /// The base is there.
-    SetPose(Pose),
+    /// The base is there, known so well; NaN when not known.
+    SetPose(Pose, Covariance6),
     /// Other weights.
     Swap(Box<Prepared>),
     /// Take no frames.
@@ -229,8 +229,8 @@ impl Run {
                 pipeline.reset_odometry();
                 "odometry starts anew at the next frame".to_owned()
             }
-            Change::SetPose(map_from_base) => {
-                pipeline.set_pose(map_from_base, Covariance6::nan()).map_err(|error| error.to_string())?;
+            Change::SetPose(map_from_base, covariance) => {
+                pipeline.set_pose(map_from_base, covariance).map_err(|error| error.to_string())?;
                 "map_from_base was set".to_owned()
             }
             Change::Swap(prepared) => {

@@ -4,6 +4,7 @@
 
 pub mod baselines;
 pub mod check;
+pub mod cli;
 pub mod data;
 pub mod dataset_args;
 pub mod evaluate;

@@ -51,6 +51,11 @@ impl ControlClient {
         Ok(Self { ports, forbidden, service, next_request_id: 1 })
     }
 
+    /// Whether somebody answers. A daemon that was killed counts until its leftovers are cleared away.
+    pub fn has_server(&self) -> bool {
+        self.ports.has_server()
+    }
+
     /// Asks and waits for the answer. The request's id is chosen here.
     ///
     /// # Errors
@@ -74,6 +79,8 @@ impl ControlClient {
 
 /// The ports of a client, whatever the services are made of.
 trait Ports: Debug {
+    fn has_server(&self) -> bool;
+
     fn call(
         &self,
         request: ControlRequest,
@@ -96,10 +103,14 @@ struct PortsOn<S: Variant> {
 #[derive(Debug)]
 struct Desk<S: Variant> {
     client: Client<S, ControlRequest, (), ControlReply, ()>,
-    _requests: Requests<S>,
+    requests: Requests<S>,
 }
 
 impl<S: Variant> Ports for PortsOn<S> {
+    fn has_server(&self) -> bool {
+        self.here.requests.dynamic_config().number_of_servers() > 0
+    }
+
     fn call(
         &self,
         request: ControlRequest,
@@ -157,6 +168,6 @@ impl<S: Variant> Desk<S> {
             },
             _ => TransportError::internal("create the client of", service, error),
         })?;
-        Ok(Self { client, _requests: requests })
+        Ok(Self { client, requests })
     }
 }
