@@ -16,7 +16,7 @@
 //! | [`convert`] | pipeline types to wire types, nowhere else |
 //! | [`state`], [`latency`] | what the daemon knows about itself |
 //! | [`scenes`] | loading and changing scenes while frames flow |
-//! | [`logging`], [`journal`], [`service_manager`], [`signals`] | stderr, systemd, Unix |
+//! | [`logging`], [`service_manager`], [`signals`] | stderr, systemd, Unix |
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
@@ -29,7 +29,6 @@ pub mod convert;
 pub mod devices;
 pub mod failure;
 pub mod feed;
-pub mod journal;
 pub mod latency;
 pub mod logging;
 pub mod publish;

@@ -2,10 +2,9 @@
 
 use std::fmt;
 use std::io::IsTerminal as _;
-use std::path::Path;
 
 use grnet_config::{LogConfig, LogFormat};
-use tracing::{Event, Subscriber};
+use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::format::{Format, Writer};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::layer::SubscriberExt as _;
@@ -14,7 +13,6 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer as _, Registry, fmt as layer, reload};
 
 use crate::failure::Failure;
-use crate::journal::{self, JournalLayer};
 
 /// Changes the level while the daemon runs.
 #[derive(Debug, Clone)]
@@ -33,13 +31,10 @@ pub fn start(config: &LogConfig) -> Result<LogHandle, Failure> {
         LogFormat::Json => {
             layer::layer().json().flatten_event(true).with_writer(std::io::stderr).with_filter(filter).boxed()
         }
-        LogFormat::Journald => match journal() {
-            Some(journal) => journal.with_filter(filter).boxed(),
-            None => {
-                let journal = Journal(Format::default().without_time().with_level(false).with_ansi(false));
-                human().with_ansi(false).event_format(journal).with_filter(filter).boxed()
-            }
-        },
+        LogFormat::Journald => {
+            let journal = Journal(Format::default().without_time().with_level(false).with_ansi(false));
+            human().with_ansi(false).event_format(journal).with_filter(filter).boxed()
+        }
         LogFormat::Auto | LogFormat::Human => human().with_filter(filter).boxed(),
     };
     tracing_subscriber::registry()
@@ -76,11 +71,6 @@ fn format(configured: LogFormat) -> LogFormat {
     }
 }
 
-/// The journal itself, when it reads stderr: records with fields. Elsewhere, lines with a priority.
-fn journal() -> Option<JournalLayer> {
-    journal_reads_stderr().then(|| JournalLayer::connect(Path::new(journal::SOCKET), "grnetd").ok()).flatten()
-}
-
 /// systemd names the device and inode of the journal's socket; stderr may have been redirected since.
 fn journal_reads_stderr() -> bool {
     let Ok(stream) = std::env::var("JOURNAL_STREAM") else { return false };
@@ -102,7 +92,13 @@ where
         mut writer: Writer<'_>,
         event: &Event<'_>,
     ) -> fmt::Result {
-        write!(writer, "<{}>", journal::priority(event.metadata().level()))?;
+        let priority = match *event.metadata().level() {
+            Level::ERROR => 3,
+            Level::WARN => 4,
+            Level::INFO => 6,
+            Level::DEBUG | Level::TRACE => 7,
+        };
+        write!(writer, "<{priority}>")?;
         self.0.format_event(context, writer, event)
     }
 }
