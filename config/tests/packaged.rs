@@ -33,7 +33,8 @@ fn every_line_but_the_camera_differs_from_the_default() {
 
 #[test]
 fn what_it_offers_in_comments_is_known() {
-    let offered: Vec<_> = PACKAGED.lines().filter(|line| line.starts_with('#') && !line.starts_with("# ")).collect();
+    let offered: Vec<_> =
+        PACKAGED.lines().filter(|line| line.starts_with('#') && !line.starts_with("# ")).collect();
     assert!(!offered.is_empty());
     let all = PACKAGED.replace("\n#scene", "\nscene");
     assert!(parse(&all).model.scene.is_some() && offered.len() == 1, "{offered:?}");

@@ -90,7 +90,8 @@ mod tests {
         let config = NetworkConfig::preset("grnet-small").unwrap();
         untrained::checkpoint(&config, 3, Preprocessing::default()).unwrap().save(&first.checkpoint).unwrap();
         run(&first).unwrap();
-        let again = SplitArgs { checkpoint: first.trunk.clone().unwrap(), force: true, ..args(folder.path()) };
+        let again =
+            SplitArgs { checkpoint: first.trunk.clone().unwrap(), force: true, ..args(folder.path()) };
         let error = run(&again).unwrap_err().to_string();
         assert!(error.contains("trunk") && error.contains("complete"), "{error}");
     }
