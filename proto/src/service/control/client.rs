@@ -51,6 +51,11 @@ impl ControlClient {
         Ok(Self { ports, forbidden, service, next_request_id: 1 })
     }
 
+    /// Whether somebody answers. A daemon that was killed counts until its leftovers are cleared away.
+    pub fn has_server(&self) -> bool {
+        self.ports.servers() > 0
+    }
+
     /// Asks and waits for the answer. The request's id is chosen here.
     ///
     /// # Errors
@@ -80,6 +85,8 @@ trait Ports: Debug {
         service: &str,
         timeout: Duration,
     ) -> Result<ControlReply, TransportError>;
+
+    fn servers(&self) -> usize;
 }
 
 #[derive(Debug)]
@@ -96,7 +103,7 @@ struct PortsOn<S: Variant> {
 #[derive(Debug)]
 struct Desk<S: Variant> {
     client: Client<S, ControlRequest, (), ControlReply, ()>,
-    _requests: Requests<S>,
+    requests: Requests<S>,
 }
 
 impl<S: Variant> Ports for PortsOn<S> {
@@ -130,6 +137,10 @@ impl<S: Variant> Ports for PortsOn<S> {
             wait(&self.listener, service, remaining)?;
         }
     }
+
+    fn servers(&self) -> usize {
+        self.here.requests.dynamic_config().number_of_servers()
+    }
 }
 
 fn open<S: Variant + 'static>(
@@ -157,6 +168,6 @@ impl<S: Variant> Desk<S> {
             },
             _ => TransportError::internal("create the client of", service, error),
         })?;
-        Ok(Self { client, _requests: requests })
+        Ok(Self { client, requests })
     }
 }
