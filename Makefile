@@ -26,14 +26,10 @@ test: ## every default test (no GPU, no network while they run)
 	$(CARGO) test --workspace --doc
 
 .PHONY: test-access
-test-access: ## who may do what with a stream, by real users; runs as root
+test-access: ## who may do what with a stream, by real users (needs root)
 	@scripts/install-packages build test
 	@scripts/python-venv iceoryx2==0.10.0
-	$(CARGO) build --workspace --bins --example ask --features grnet-proto/group-access
-	@built=$${CARGO_TARGET_DIR:-target}/debug; mkdir -p $$built/group-access; \
-	  cp -f $$built/grnetd $$built/grnet-client $$built/examples/ask $$built/group-access/
-	$(CARGO) build --workspace --bins
-	$(CARGO) test --workspace --features grnet-proto/group-access,grnet-tests/group-access --test transport --test group --test access
+	@CARGO='$(CARGO)' scripts/test-access
 
 .PHONY: test-vm
 test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusals, unplugging (slow; fetches a kernel once)

@@ -178,6 +178,27 @@ fn a_killed_daemon_is_followed_by_the_next_one() {
 }
 
 #[test]
+fn what_killed_members_leave_is_cleared_away_by_the_daemon() {
+    let rig = Rig::new();
+    let mut daemon = rig.daemon(&[]);
+    let theirs = |user: User| {
+        things_below(&rig.stream())
+            .iter()
+            .filter(|path| fs::metadata(path).is_ok_and(|m| m.uid() == user.id))
+            .count()
+    };
+    for user in [MEMBER, ROOT] {
+        let mut tail = rig.client(user, &["tail", "--json"]);
+        tail.json();
+        assert!(theirs(user) > 0);
+        tail.kill();
+        daemon.stderr_line_with("cleared away");
+        assert_eq!(theirs(user), 0, "{:#?}", things_below(&rig.stream()));
+    }
+    assert_eq!(samples(&rig, MEMBER, 3).len(), 3);
+}
+
+#[test]
 fn folders_that_are_not_as_they_must_be_are_refused_with_the_command_that_mends_them() {
     let rig = Rig::without_stream_folder();
     let group = "publish.access=\"group\"";
@@ -316,9 +337,14 @@ fn python(rig: &Rig, user: User) -> Command {
 #[test]
 fn everyone_is_every_local_user() {
     let rig = Rig::without_stream_folder();
+    let everyone = "publish.access=\"everyone\"";
     fs::create_dir(rig.stream()).unwrap();
     rig.give(&rig.stream(), DAEMON.id, MEMBERS, 0o755);
-    let mut daemon = rig.grnetd("run", Build::Packaged, DAEMON, &["publish.access=\"everyone\""]);
+    let (_, status, error) = rig.grnetd("run", Build::Packaged, DAEMON, &[everyone]).finish();
+    assert_eq!(status.code(), Some(77), "{error}");
+    assert_has(&error, &["mode 0755", "-m 0777"]);
+    rig.give(&rig.stream(), DAEMON.id, MEMBERS, 0o777);
+    let mut daemon = rig.grnetd("run", Build::Packaged, DAEMON, &[everyone]);
     daemon.stderr_line_with("publishing");
     for user in [FOREIGNER, MEMBER, ROOT, DAEMON] {
         assert_eq!(samples(&rig, user, 3).len(), 3);

@@ -158,7 +158,8 @@ pub fn as_user(user: User) -> Command {
         let groups = user.further.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
         command.arg(format!("--groups={groups}"));
     }
-    command.args(["--no-new-privs", "--"]).current_dir("/");
+    // Closed for files that nobody gives other permissions: what the stream needs open, it opens itself.
+    command.args(["--no-new-privs", "--", "sh", "-c", "umask 077; exec \"$0\" \"$@\""]).current_dir("/");
     command
 }
 
