@@ -25,6 +25,12 @@ test: ## every default test (no GPU, no network while they run)
 	else echo "$(CARGO) test --workspace (install cargo-nextest for a quicker run)"; $(CARGO) test --workspace --lib --bins --tests --features grnet-capture/conformance; fi
 	$(CARGO) test --workspace --doc
 
+.PHONY: test-access
+test-access: ## who may do what with a stream, by real users (needs root)
+	@scripts/install-packages build test
+	@scripts/python-venv iceoryx2==0.10.0
+	@CARGO='$(CARGO)' scripts/test-access
+
 .PHONY: test-vm
 test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusals, unplugging (slow; fetches a kernel once)
 	@scripts/install-packages build
@@ -46,6 +52,7 @@ lint: ## formatting, clippy, docs, licences, bans and sources of the dependencie
 	@scripts/install-packages build
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
+	$(CARGO) clippy --workspace --all-targets --features grnet-proto/group-access,grnet-tests/group-access -- -D warnings
 	$(CARGO) doc --workspace --no-deps --quiet
 	@$(CARGO) deny --version >/dev/null 2>&1 || { echo "installing cargo-deny"; $(CARGO) install cargo-deny --locked --debug --quiet; }
 	$(CARGO) deny --log-level error check bans licenses sources

@@ -17,7 +17,7 @@ use crate::{
 };
 #[cfg(feature = "group-access")]
 use crate::{
-    access::{open_gates, protect_payload},
+    access::{open_gates, open_to_everyone, protect_payload},
     files,
 };
 
@@ -110,6 +110,10 @@ impl Node {
         }
         let node = match root.storage(access) {
             Storage::SharedMemory => {
+                #[cfg(feature = "group-access")]
+                if access == AccessMode::Everyone && role == Role::Daemon {
+                    open_to_everyone(root)?;
+                }
                 prepare_root(root, role)?;
                 let foreign = || root.foreign_owner();
                 Variant::Ipc(create(root, role, root.config(), foreign)?)

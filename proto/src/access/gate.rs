@@ -40,6 +40,43 @@ pub(crate) fn open_gates(root: &Root, access: AccessMode) -> Result<(), Transpor
     Ok(())
 }
 
+/// Creates the folder of a stream that is for every local user, or checks that everybody gets there.
+///
+/// # Errors
+/// [`TransportError::WrongFolder`] with what is wrong and the command that mends it.
+pub(crate) fn open_to_everyone(root: &Root) -> Result<(), TransportError> {
+    let folder = root.path();
+    let place = |folder| Gate { folder, group: None, owner: geteuid().as_raw(), mode: OPEN };
+    let all = place(&folder);
+    if let Some(parent) = folder.parent() {
+        fs::create_dir_all(parent).map_err(|error| all.not_created(error))?;
+    }
+    match fs::create_dir(&folder) {
+        Ok(()) => fs::set_permissions(&folder, Permissions::from_mode(OPEN))
+            .map_err(|error| all.wrong(format!("setting its mode failed ({error})")))?,
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(all.not_created(error)),
+    }
+    // Made by iceoryx2: by that of the ordinary build for one user.
+    for part in [folder.clone(), folder.join("nodes"), folder.join("services")] {
+        let Ok(metadata) = fs::metadata(&part) else { continue };
+        if metadata.mode() & OPEN != OPEN {
+            return Err(place(&part).is(&metadata));
+        }
+    }
+    let closed = |path: &&Path| fs::metadata(path).is_ok_and(|metadata| metadata.mode() & 0o001 == 0);
+    match folder.ancestors().skip(1).find(closed) {
+        None => Ok(()),
+        Some(path) => Err(TransportError::UnusableRoot {
+            problem: format!(
+                "{} above it is closed to other users; choose another publish.root",
+                path.display()
+            ),
+            path: folder.clone(),
+        }),
+    }
+}
+
 /// Takes away the others' right to write to what this process publishes behind the gate `folder`.
 ///
 /// # Errors
@@ -81,7 +118,8 @@ fn protect(path: &Path) -> io::Result<()> {
 
 /// For members of `group`, or for this user alone.
 fn open_gate(folder: &Path, group: Option<&Group>) -> Result<(), TransportError> {
-    let gate = Gate { folder, group, owner: geteuid().as_raw() };
+    let mode = if group.is_some() { 0o2750 } else { 0o700 };
+    let gate = Gate { folder, group, owner: geteuid().as_raw(), mode };
     match fs::symlink_metadata(folder) {
         Ok(_) => {}
         Err(error) if error.kind() == io::ErrorKind::NotFound => gate.create()?,
@@ -95,18 +133,18 @@ struct Gate<'a> {
     folder: &'a Path,
     group: Option<&'a Group>,
     owner: u32,
+    mode: u32,
 }
 
 impl Gate<'_> {
     /// Made aside and moved into place: nobody sees it half made.
     fn create(&self) -> Result<(), TransportError> {
-        let failed =
-            |error: io::Error| self.wrong(format!("it does not exist and creating it failed ({error})"));
         let parent = self.folder.parent().unwrap_or(Path::new("/"));
-        fs::create_dir_all(parent).map_err(failed)?;
+        fs::create_dir_all(parent).map_err(|error| self.not_created(error))?;
         let draft = self.draft();
-        DirBuilder::new().mode(0o700).create(&draft).map_err(failed)?;
-        let result = self.appoint(&draft).and_then(|()| fs::rename(&draft, self.folder).map_err(failed));
+        DirBuilder::new().mode(0o700).create(&draft).map_err(|error| self.not_created(error))?;
+        let moved = || fs::rename(&draft, self.folder).map_err(|error| self.not_created(error));
+        let result = self.appoint(&draft).and_then(|()| moved());
         if result.is_err() {
             // The first error is the one that matters.
             let _ = fs::remove_dir(&draft);
@@ -133,18 +171,11 @@ impl Gate<'_> {
     fn check(&self) -> Result<(), TransportError> {
         let metadata = fs::symlink_metadata(self.folder)
             .map_err(|error| self.wrong(format!("it cannot be looked at ({error})")))?;
-        let group = Group::of_id(metadata.gid());
-        let mode = metadata.mode() & 0o7777;
         let right = metadata.is_dir()
             && metadata.uid() == self.owner
-            && mode & 0o777 == self.mode() & 0o777
-            && self.group.is_none_or(|wanted| wanted.id() == group.id());
-        if right {
-            return Ok(());
-        }
-        let kind = if metadata.is_dir() { "a folder" } else { "no folder" };
-        Err(self
-            .wrong(format!("it is {kind} of user {}, group {group}, mode {mode:04o}", user(metadata.uid()))))
+            && metadata.mode() & 0o777 == self.mode & 0o777
+            && self.group.is_none_or(|wanted| wanted.id() == metadata.gid());
+        if right { Ok(()) } else { Err(self.is(&metadata)) }
     }
 
     fn open_behind(&self) -> Result<(), TransportError> {
@@ -167,13 +198,22 @@ impl Gate<'_> {
         Ok(())
     }
 
-    fn mode(&self) -> u32 {
-        if self.group.is_some() { 0o2750 } else { 0o700 }
-    }
-
     fn draft(&self) -> PathBuf {
         let name = self.folder.file_name().unwrap_or_default().to_string_lossy();
         self.folder.with_file_name(format!(".{name}.{}.draft", std::process::id()))
+    }
+
+    fn not_created(&self, error: io::Error) -> TransportError {
+        self.wrong(format!("it does not exist and creating it failed ({error})"))
+    }
+
+    fn is(&self, metadata: &fs::Metadata) -> TransportError {
+        let kind = if metadata.is_dir() { "a folder" } else { "no folder" };
+        let (user, group) = (user(metadata.uid()), Group::of_id(metadata.gid()));
+        self.wrong(format!(
+            "it is {kind} of user {user}, group {group}, mode {:04o}",
+            metadata.mode() & 0o7777
+        ))
     }
 
     fn wrong(&self, found: String) -> TransportError {
@@ -184,10 +224,10 @@ impl Gate<'_> {
             found,
             owner: user(self.owner),
             group: self.group.map_or_else(|| "any".to_owned(), Group::to_string),
-            mode: self.mode(),
+            mode: self.mode,
             remedy: format!(
                 "sudo install -d -o {owner} -g {group} -m {:04o} {}",
-                self.mode(),
+                self.mode,
                 self.folder.display()
             ),
         }
@@ -237,6 +277,26 @@ mod tests {
         std::os::unix::fs::symlink("/tmp", &path).unwrap();
         let error = open_gates(&root(&path), AccessMode::Group).unwrap_err().to_string();
         assert!(error.contains("it is no folder"), "{error}");
+    }
+
+    #[test]
+    fn a_stream_for_everyone_is_within_everyones_reach() {
+        let folder = tempfile::tempdir_in("/tmp").unwrap();
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
+        let path = folder.path().join("stream");
+        open_to_everyone(&root(&path)).unwrap();
+        assert_eq!(mode(&path), 0o777);
+        fs::create_dir(path.join("nodes")).unwrap();
+        fs::set_permissions(path.join("nodes"), Permissions::from_mode(0o750)).unwrap();
+        let error = open_to_everyone(&root(&path)).unwrap_err().to_string();
+        assert!(
+            error.contains("nodes") && error.contains("mode 0750") && error.contains("-m 0777"),
+            "{error}"
+        );
+        fs::remove_dir(path.join("nodes")).unwrap();
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o750)).unwrap();
+        let error = open_to_everyone(&root(&path)).unwrap_err().to_string();
+        assert!(error.contains("above it is closed to other users"), "{error}");
     }
 
     #[test]

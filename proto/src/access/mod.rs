@@ -17,7 +17,7 @@ pub(crate) use announce::Announcement;
 pub use find::find;
 pub(crate) use find::{CHANGE, enter};
 #[cfg(feature = "group-access")]
-pub(crate) use gate::{open_gates, protect_payload};
+pub(crate) use gate::{open_gates, open_to_everyone, protect_payload};
 pub(crate) use root::Control;
 pub use root::Root;
 

@@ -53,7 +53,7 @@ impl ControlClient {
 
     /// Whether somebody answers. A daemon that was killed counts until its leftovers are cleared away.
     pub fn has_server(&self) -> bool {
-        self.ports.has_server()
+        self.ports.servers() > 0
     }
 
     /// Asks and waits for the answer. The request's id is chosen here.
@@ -79,14 +79,14 @@ impl ControlClient {
 
 /// The ports of a client, whatever the services are made of.
 trait Ports: Debug {
-    fn has_server(&self) -> bool;
-
     fn call(
         &self,
         request: ControlRequest,
         service: &str,
         timeout: Duration,
     ) -> Result<ControlReply, TransportError>;
+
+    fn servers(&self) -> usize;
 }
 
 #[derive(Debug)]
@@ -107,10 +107,6 @@ struct Desk<S: Variant> {
 }
 
 impl<S: Variant> Ports for PortsOn<S> {
-    fn has_server(&self) -> bool {
-        self.here.requests.dynamic_config().number_of_servers() > 0
-    }
-
     fn call(
         &self,
         request: ControlRequest,
@@ -140,6 +136,10 @@ impl<S: Variant> Ports for PortsOn<S> {
             }
             wait(&self.listener, service, remaining)?;
         }
+    }
+
+    fn servers(&self) -> usize {
+        self.here.requests.dynamic_config().number_of_servers()
     }
 }
 
