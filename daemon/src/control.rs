@@ -15,6 +15,7 @@ use crate::activity::Activity;
 use crate::convert;
 use crate::failure::Failure;
 use crate::record::{Ask, Asked};
+use crate::reload::Reloader;
 use crate::scenes::{SceneError, SceneLibrary};
 use crate::setup::Transport;
 use crate::state::State;
@@ -38,6 +39,10 @@ pub struct Control {
     pub scenes: SceneLibrary,
     /// Orders to the worker.
     pub orders: Sender<Order>,
+    /// SIGHUP came.
+    pub reloads: Receiver<()>,
+    /// What a reload works with.
+    pub reloader: Reloader,
     /// Requests to the recorder.
     pub recorder: Sender<Asked>,
     /// What is told.
@@ -76,6 +81,10 @@ pub fn run(mut control: Control) -> Result<(), Failure> {
             tracing::info!(command = %request.command, %outcome, message, "request");
             let status = control.state.status(Now::read());
             pending.reply(&ControlReply::new(&request, outcome, &message, status))?;
+        }
+        // Several signals that came meanwhile ask for one reload.
+        if control.reloads.try_iter().count() > 0 {
+            control.reload();
         }
         if cleaned.elapsed() >= CLEAN_UP {
             cleaned = Instant::now();
@@ -142,6 +151,9 @@ impl Control {
     }
 
     fn select_scene(&mut self, name: &str) -> Result<String, SceneError> {
+        if self.scenes.is_active(name) {
+            return Ok(format!("scene in use: {name}, as before"));
+        }
         let prepared = self.scenes.prepare_selected(name)?;
         let done = self.change(Change::Swap(Box::new(prepared))).map_err(SceneError::Failed)?;
         self.scenes.selected(name);
@@ -159,7 +171,7 @@ impl Control {
     }
 
     /// Asks the recorder, which answers between two frames.
-    fn record(&self, ask: Ask) -> Answer {
+    pub(crate) fn record(&self, ask: Ask) -> Answer {
         self.activity.wait();
         let (reply, answer) = bounded(1);
         let ending = || (Outcome::FAILED, "the daemon is ending".into());
@@ -187,7 +199,7 @@ impl Control {
     }
 
     /// Asks the worker, which answers between two frames.
-    fn change(&self, what: Change) -> Result<String, String> {
+    pub(crate) fn change(&self, what: Change) -> Result<String, String> {
         const ENDING: &str = "the daemon is ending";
         self.activity.wait();
         let (reply, answer) = bounded(1);

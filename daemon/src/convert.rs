@@ -277,7 +277,10 @@ mod tests {
         let (_, covariance) = requested_pose(&here.with_stddev(0.5, 0.25)).unwrap();
         assert_eq!(covariance, Covariance6::from_diagonal([0.25, 0.25, 0.25, 0.0625, 0.0625, 0.0625]));
         for (translation_m, rotation_rad) in [(0.5, 0.0), (-1.0, 1.0), (f64::NAN, 1.0), (f64::MAX, 1.0)] {
-            assert!(requested_pose(&here.with_stddev(translation_m, rotation_rad)).is_err(), "{translation_m}");
+            assert!(
+                requested_pose(&here.with_stddev(translation_m, rotation_rad)).is_err(),
+                "{translation_m}"
+            );
         }
         assert_eq!(pose, Isometry3::translation(1.0, 2.0, 3.0));
     }

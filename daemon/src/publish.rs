@@ -34,6 +34,8 @@ pub struct Publish {
     pub transport: Transport,
     /// Between two heartbeats.
     pub heartbeat: Duration,
+    /// Other times between heartbeats, from then on.
+    pub heartbeats: Receiver<Duration>,
     /// `None` for a recording as fast as possible: its poses are stale when the next one comes.
     pub silence: Option<Duration>,
     /// The gate to the frames is opened when so many subscribers are there.
@@ -81,8 +83,8 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
     ports.admit_subscribers(&publish)?;
     let _ = publish.gate.try_send(());
 
-    let beat = tick(publish.heartbeat);
-    let mut outages = publish.outages.clone();
+    let mut beat = tick(publish.heartbeat);
+    let (mut outages, mut heartbeats) = (publish.outages.clone(), publish.heartbeats.clone());
     loop {
         activity.wait();
         select! {
@@ -95,6 +97,10 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
                 Err(_) => outages = never(),
             },
             recv(beat) -> _ => { activity.work(); ports.heartbeat()?; }
+            recv(heartbeats) -> period => match period {
+                Ok(period) => beat = tick(period),
+                Err(_) => heartbeats = never(),
+            },
             recv(stop.channel()) -> _ => break,
         }
     }

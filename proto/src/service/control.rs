@@ -159,15 +159,7 @@ impl ControlClient {
             }
         })?;
         let (listener, notifier) = event_ports(&events, &service)?;
-        Ok(Self {
-            listener,
-            notifier,
-            client,
-            _events: events,
-            requests,
-            service,
-            next_request_id: 1,
-        })
+        Ok(Self { listener, notifier, client, _events: events, requests, service, next_request_id: 1 })
     }
 
     /// Whether somebody answers. A daemon that was killed counts until its leftovers are cleared away.
