@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Instant;
 
-use grnet_tests::{Process, Rig, program};
+use grnet_tests::{DEADLINE, Process, Rig, program};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -26,12 +27,18 @@ fn control_json(rig: &Rig, arguments: &[&str]) -> (i32, Value) {
     (code, serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error} in {out}\n{err}")))
 }
 
+/// The name of the scene that `room-1.safetensors` brings along.
+const ROOM_1: &str = "synthetic room 1";
+
+/// Samples until one is as wanted.
 fn until(tail: &mut Process, mut found: impl FnMut(&Value) -> bool) -> Value {
+    let start = Instant::now();
     loop {
         let sample = tail.json();
         if found(&sample) {
             return sample;
         }
+        assert!(start.elapsed() < DEADLINE, "no such sample for {DEADLINE:?}; the last one: {sample}");
     }
 }
 
@@ -47,17 +54,17 @@ fn a_scene_changes_between_two_frames_and_none_is_lost() {
     let rig = Rig::new().with_checkpoint(&room_1);
     let _daemon = rig.daemon(&["source.loop=true", "source.pace=\"max\"", "publish.wait_for_subscribers=1"]);
     let mut tail = rig.tail(&["--json"]);
-    until(&mut tail, |sample| sample["scene"] == "room-1" && !sample["map_from_base"].is_null());
+    until(&mut tail, |sample| sample["scene"] == ROOM_1 && !sample["map_from_base"].is_null());
 
     let (code, loaded) = control_json(&rig, &["load-scene", room_2.to_str().unwrap()]);
     assert_eq!((code, &loaded["outcome"]), (0, &"DONE".into()), "{loaded}");
-    assert_eq!(loaded["status"]["active_scene"], "room-1", "loading does not select");
+    assert_eq!(loaded["status"]["active_scene"], ROOM_1, "loading does not select");
     let names: Vec<&Value> =
         loaded["status"]["scenes"].as_array().unwrap().iter().map(|scene| &scene["name"]).collect();
-    assert_eq!(names, ["room-1", "room-2"]);
+    assert_eq!(names, [ROOM_1, "room-2"]);
     assert_eq!(control(&rig, &["select-scene", "room-2"]).0, 0);
     let (_, scenes, _) = control(&rig, &["scenes"]);
-    assert!(scenes.contains("* room-2") && scenes.contains("  room-1"), "{scenes}");
+    assert!(scenes.contains("* room-2") && scenes.contains(&format!("  {ROOM_1}")), "{scenes}");
 
     let mut last = until(&mut tail, |sample| !sample["sequence"].is_null());
     let mut seen: Vec<String> = vec![last["scene"].as_str().unwrap().to_owned()];
@@ -81,9 +88,9 @@ fn a_scene_changes_between_two_frames_and_none_is_lost() {
 
     // Out again: the checkpoint's own scene takes over.
     let (code, out, err) = control(&rig, &["unload-scene", "room-2"]);
-    assert!(code == 0 && out.contains("room-1"), "{out}{err}");
-    until(&mut tail, |sample| sample["scene"] == "room-1");
-    let (code, _, err) = control(&rig, &["unload-scene", "room-1"]);
+    assert!(code == 0 && out.contains(ROOM_1), "{out}{err}");
+    until(&mut tail, |sample| sample["scene"] == ROOM_1);
+    let (code, _, err) = control(&rig, &["unload-scene", ROOM_1]);
     assert!(code == 75 && err.contains("part of the checkpoint"), "{err}");
 }
 
@@ -93,7 +100,7 @@ fn an_unfit_scene_changes_nothing_and_the_reason_is_said() {
     let rig = Rig::new().with_checkpoint(&room_1);
     let _daemon = rig.daemon(&["source.loop=true"]);
     let mut tail = rig.tail(&["--json"]);
-    until(&mut tail, |sample| sample["scene"] == "room-1");
+    until(&mut tail, |sample| sample["scene"] == ROOM_1);
     let whole = fs::read(&room_2).unwrap();
     let path = |name: &str| rig.folder().join(name).to_str().unwrap().to_owned();
     fs::write(path("cut.safetensors"), &whole[..whole.len() - 1000]).unwrap();
@@ -123,12 +130,12 @@ fn an_unfit_scene_changes_nothing_and_the_reason_is_said() {
     let (code, answer) = control_json(&rig, &["select-scene", "room-2"]);
     assert_eq!(
         (code, &answer["outcome"], &answer["status"]["active_scene"]),
-        (78, &"FAILED".into(), &"room-1".into())
+        (78, &"FAILED".into(), &ROOM_1.into())
     );
 
     let before = number(&until(&mut tail, |sample| !sample["sequence"].is_null()), "sequence");
     let later = until(&mut tail, |sample| sample["sequence"].as_u64().is_some_and(|now| now > before));
-    assert_eq!((&later["scene"], number(&later, "reset_epoch")), (&"room-1".into(), 0));
+    assert_eq!((&later["scene"], number(&later, "reset_epoch")), (&ROOM_1.into(), 0));
 }
 
 #[test]
