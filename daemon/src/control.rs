@@ -35,6 +35,8 @@ pub struct Control {
     pub transport: Transport,
     /// Gets one message when the camera's name is ours.
     pub opened: Receiver<()>,
+    /// Gets one message when requests are answered.
+    pub controlled: Sender<()>,
     /// Which scenes there are.
     pub scenes: SceneLibrary,
     /// Orders to the worker.
@@ -71,6 +73,8 @@ pub fn run(mut control: Control) -> Result<(), Failure> {
     let node = Node::open(control.transport.access, &control.transport.root, Role::Daemon)?;
     let server = ControlServer::open(&node, &control.state.identity.camera)?;
     control.state.set_scenes(control.scenes.list());
+    // A publisher that has gone has told why.
+    let _ = control.controlled.try_send(());
 
     let mut cleaned = Instant::now();
     while !control.stop.is_stopped() {

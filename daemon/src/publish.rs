@@ -42,6 +42,8 @@ pub struct Publish {
     pub wait_for_subscribers: usize,
     /// Gets one message when the ports are open: the name is ours.
     pub opened: Sender<()>,
+    /// Gets one message when requests are answered: nobody is to be told READY before.
+    pub controlled: Receiver<()>,
     /// Gets one message when frames may be read.
     pub gate: Sender<()>,
     /// Samples from the worker.
@@ -80,6 +82,11 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
     tracing::info!(service = ports.pose.service(), root = %transport.root, "publishing");
     // Threads that have gone have told their error elsewhere.
     let _ = publish.opened.try_send(());
+    activity.wait();
+    select! {
+        recv(publish.controlled) -> _ => {}
+        recv(stop.channel()) -> _ => {}
+    }
     ports.admit_subscribers(&publish)?;
     let _ = publish.gate.try_send(());
 

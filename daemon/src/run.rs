@@ -111,6 +111,7 @@ fn stream(
     let (outages_in, outages_out) = unbounded();
     let (orders_in, orders_out) = bounded(1);
     let (opened_in, opened_out) = bounded(1);
+    let (controlled_in, controlled_out) = bounded(1);
     let (gate_in, gate_out) = bounded(1);
     let (asked_in, asked_out) = bounded(1);
     let (reloads_in, reloads_out) = unbounded();
@@ -144,6 +145,7 @@ fn stream(
     let control = Control {
         transport: transport.clone(),
         opened: opened_out,
+        controlled: controlled_in,
         scenes: SceneLibrary::new(&files.checkpoint, files.scene.as_deref(), &model),
         orders: orders_in,
         reloads: reloads_out,
@@ -169,6 +171,7 @@ fn stream(
         silence: (kind == SourceKind::Live).then_some(source_config.silence),
         wait_for_subscribers: publish.wait_for_subscribers,
         opened: opened_in,
+        controlled: controlled_out,
         gate: gate_in,
         output: queue_out,
         outages: outages_out,
