@@ -82,7 +82,11 @@ pub fn run(mut control: Control) -> Result<(), Failure> {
         while let Some(pending) = server.receive()? {
             let request = pending.request();
             let (outcome, message) = control.answer(&request);
-            tracing::info!(command = %request.command, %outcome, message, "request");
+            if request.command == Command::STATUS {
+                tracing::debug!(command = %request.command, %outcome, "request");
+            } else {
+                tracing::info!(command = %request.command, %outcome, message, "request");
+            }
             let status = control.state.status(Now::read());
             pending.reply(&ControlReply::new(&request, outcome, &message, status))?;
         }
@@ -116,7 +120,7 @@ impl Control {
             Command::STATUS => (Outcome::DONE, "the status is in the reply".into()),
             Command::RESET_ODOMETRY => self.order(Change::ResetOdometry),
             Command::SET_POSE => match convert::requested_pose(request) {
-                Ok((pose, covariance)) => self.order(Change::SetPose(pose, covariance)),
+                Ok((pose, covariance)) => self.order(Change::SetPose(pose, covariance.into())),
                 Err(problem) => (Outcome::INVALID, problem),
             },
             Command::PAUSE => self.order(Change::Pause),

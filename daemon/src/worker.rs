@@ -60,7 +60,7 @@ pub enum Change {
     /// Odometry starts anew.
     ResetOdometry,
     /// The base is there, known so well; NaN when not known.
-    SetPose(Pose, Covariance6),
+    SetPose(Pose, Box<Covariance6>),
     /// Other rules for times and for the innovation gate.
     Tracking {
         /// When relative motion is believed.
@@ -241,7 +241,7 @@ impl Run {
                 "odometry starts anew at the next frame".to_owned()
             }
             Change::SetPose(map_from_base, covariance) => {
-                pipeline.set_pose(map_from_base, covariance).map_err(|error| error.to_string())?;
+                pipeline.set_pose(map_from_base, *covariance).map_err(|error| error.to_string())?;
                 "map_from_base was set".to_owned()
             }
             Change::Tracking { time, gate, initializing_frames } => {
@@ -269,7 +269,7 @@ impl Run {
                 "resumed".to_owned()
             }
         };
-        tracing::info!(done, "control");
+        tracing::debug!(done, "control");
         Ok(done)
     }
 

@@ -167,7 +167,7 @@ fn every_request_is_answered_with_its_exit_code() {
         assert_eq!(code, 0, "{fine:?}: {err}");
     }
     for (usage, said) in [
-        (&["set-pose", "1", "2"][..], "3 values"),
+        (&["set-pose", "1", "2"][..], "<Z>"),
         (&["set-pose", "nan", "0", "0"], "not finite"),
         (&["set-pose", "0", "0", "0", "--quaternion", "0", "0", "0", "0"], "--quaternion"),
         (&["select-scene", ""], "name or path"),
