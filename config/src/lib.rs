@@ -20,6 +20,7 @@ mod keys;
 mod layers;
 mod raw;
 mod realtime;
+mod settings;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,6 +31,7 @@ pub use keys::{KEYS, Key};
 pub use layers::Override;
 use nalgebra::Isometry3;
 pub use realtime::RealtimeConfig;
+pub use settings::{EXAMPLE, Settings};
 
 /// A rigid transform: the same type as `grnet_geometry::Pose`.
 pub type Pose = Isometry3<f64>;
@@ -309,6 +311,16 @@ impl GrnetdConfig {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path, overrides)
+    }
+
+    /// As [`GrnetdConfig::load`], with the value of every key for a later comparison.
+    ///
+    /// # Errors
+    /// See [`ConfigError`].
+    pub fn load_with_settings(path: &Path, overrides: &[Override]) -> Result<(Self, Settings), ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        Ok((Self::parse(&text, path, overrides)?, Settings::parse(&text, path, overrides)?))
     }
 
     /// As [`GrnetdConfig::load`], for a text that stands in the file `path`.

@@ -7,6 +7,7 @@ use grnet_model::Heads;
 use grnet_proto::{ContentHash, names, qos};
 
 use crate::failure::Failure;
+use crate::realtime::{Realtime, Refusal};
 use crate::run::Loaded;
 use crate::setup::Parts;
 
@@ -15,13 +16,18 @@ use crate::setup::Parts;
 /// # Errors
 /// What `grnetd run` would end with, and when `out` cannot be written.
 pub fn check(loaded: &Loaded, out: &mut impl Write) -> Result<(), Failure> {
+    let realtime = Realtime::prepare(&loaded.config.realtime)?;
     let parts = Parts::prepare(&loaded.config)?;
-    let text = describe(loaded, &parts)?;
+    let text = describe(loaded, &parts, &realtime)?;
     out.write_all(text.as_bytes())
         .map_err(|error| Failure::internal(format!("cannot write to standard output: {error}")))
 }
 
-fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
+fn describe(
+    loaded: &Loaded,
+    parts: &Parts,
+    (realtime, refusals): &(Realtime, Vec<Refusal>),
+) -> Result<String, Failure> {
     let Parts { camera, transport, source, model, pipeline, .. } = parts;
     let info = pipeline.info();
     let source = source.info();
@@ -60,6 +66,11 @@ fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
         format!("{width}x{height}, f ({fx}, {fy}) px, c ({cx}, {cy}) px, {:?}", camera.distortion())
     });
     line("intrinsics", intrinsics);
+    let settings = realtime.describe();
+    line("real-time", if settings.is_empty() { "nothing asked for".into() } else { settings });
+    for refusal in refusals {
+        line("", format!("REFUSED: {refusal}"));
+    }
     for note in parts.source_notes.iter().chain(&info.notes) {
         line("note", note.clone());
     }

@@ -109,8 +109,9 @@ impl Configuration {
             .map(|text| Override::parse(text))
             .collect::<Result<_, _>>()
             .map_err(Failure::config)?;
-        let config = GrnetdConfig::load(&self.config, &overrides).map_err(Failure::config)?;
-        Ok(Loaded { config, path: self.config.clone(), overrides, record: None })
+        let (config, settings) =
+            GrnetdConfig::load_with_settings(&self.config, &overrides).map_err(Failure::config)?;
+        Ok(Loaded { config, settings, path: self.config.clone(), overrides, record: None })
     }
 }
 

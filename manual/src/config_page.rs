@@ -1,9 +1,7 @@
 //! `grnetd.toml(5)` from the commented example: its comments, its defaults, and what each key may be.
 
-use grnet_config::KEYS;
+use grnet_config::{EXAMPLE, KEYS};
 use roff::{Roff, bold, roman};
-
-const EXAMPLE: &str = include_str!("../../config/grnetd.toml");
 
 /// The page.
 pub fn page() -> String {

@@ -46,6 +46,8 @@ fn every_subcommand_has_a_page_that_man_accepts() {
         "grnet-client.1",
         "grnet-client-tail.1",
         "grnet-client-status.1",
+        "grnet-client-control.1",
+        "grnet-client-control-set-pose.1",
         "grnet-train.1",
         "grnet-train-evaluate.1",
     ] {

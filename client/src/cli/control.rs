@@ -76,8 +76,16 @@ enum Action {
 #[derive(Debug, Args)]
 struct SetPoseArgs {
     /// Position in the map, metres
-    #[arg(value_names = ["X", "Y", "Z"], num_args = 3, required = true, allow_negative_numbers = true)]
-    position: Vec<f64>,
+    #[arg(allow_negative_numbers = true)]
+    x: f64,
+
+    /// Likewise
+    #[arg(allow_negative_numbers = true)]
+    y: f64,
+
+    /// Likewise
+    #[arg(allow_negative_numbers = true)]
+    z: f64,
 
     /// Attitude as a quaternion; it is normalised [default: no rotation]
     #[arg(
@@ -209,7 +217,7 @@ impl SetPoseArgs {
             }
             (None, None, yaw) => UnitQuaternion::from_euler_angles(0.0, 0.0, angle(yaw.unwrap_or(0.0))),
         };
-        let [x, y, z] = [self.position[0], self.position[1], self.position[2]];
+        let &Self { x, y, z, .. } = self;
         let pose = Pose::from_parts(Translation3::new(x, y, z), rotation);
         let finite = [x, y, z].iter().chain(pose.rotation.coords.iter()).all(|value| value.is_finite());
         if finite { Ok(pose) } else { Err(UsageError("the pose is not finite".to_owned())) }
