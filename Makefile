@@ -37,6 +37,7 @@ test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusal
 	$(CARGO) build --workspace --bins
 	$(CARGO) build -p grnet-capture --features conformance --example v4l2_capture
 	@tests/vm/run
+	@tests/systemd/run camera
 
 .PHONY: test-systemd
 test-systemd: ## the Debian package and its units in a booted container: life cycle, access, faults (as root; makes a Debian once)
