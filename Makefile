@@ -25,21 +25,43 @@ test: ## every default test (no GPU, no network while they run)
 	else echo "$(CARGO) test --workspace (install cargo-nextest for a quicker run)"; $(CARGO) test --workspace --lib --bins --tests --features grnet-capture/conformance; fi
 	$(CARGO) test --workspace --doc
 
+.PHONY: test-access
+test-access: ## who may do what with a stream, by real users (needs root)
+	@scripts/install-packages build test
+	@scripts/python-venv iceoryx2==0.10.0
+	@CARGO='$(CARGO)' scripts/test-access
+
 .PHONY: test-vm
 test-vm: ## cameras by a real V4L2 driver in a virtual machine: formats, refusals, unplugging (slow; fetches a kernel once)
 	@scripts/install-packages build
 	$(CARGO) build --workspace --bins
 	$(CARGO) build -p grnet-capture --features conformance --example v4l2_capture
 	@tests/vm/run
+	@tests/systemd/run camera
+
+.PHONY: test-systemd
+test-systemd: ## the Debian package and its units in a booted container: life cycle, access, faults (as root; makes a Debian once)
+	@tests/systemd/run
+
+.PHONY: deb
+deb: ## Debian packages of the release build, into target/debian (PROFILE=dev: of the build that the tests use)
+	@scripts/install-packages build deb
+	@scripts/package
 
 .PHONY: lint
 lint: ## formatting, clippy, docs, licences, bans and sources of the dependencies
 	@scripts/install-packages build
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
+	$(CARGO) clippy --workspace --all-targets --features grnet-proto/group-access,grnet-tests/group-access -- -D warnings
 	$(CARGO) doc --workspace --no-deps --quiet
 	@$(CARGO) deny --version >/dev/null 2>&1 || { echo "installing cargo-deny"; $(CARGO) install cargo-deny --locked --debug --quiet; }
 	$(CARGO) deny --log-level error check bans licenses sources
+
+.PHONY: man
+man: ## man pages and shell completions, into target/man and target/completions (CARGO_FLAGS=--release reuses a release build)
+	@scripts/install-packages build
+	$(CARGO) run --quiet $(CARGO_FLAGS) -p grnet-manual -- $${CARGO_TARGET_DIR:-target}
 
 .PHONY: bench
 bench: ## criterion benches (long): geometry, preprocessing, network, publish to receive

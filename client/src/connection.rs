@@ -1,27 +1,27 @@
 //! Which daemon a client talks to.
 
-use grnet_proto::{AccessMode, CameraName, Node, Role, Root};
+use grnet_proto::{CameraName, Node, Role, Root, access::find};
 
 use crate::ClientError;
 
-/// Which daemon a client talks to; the default is camera `front` of this user's daemon.
+/// Which daemon a client talks to; the default is camera `front`, wherever its daemon runs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Connection {
     /// The camera.
     pub camera: CameraName,
-    /// Where the daemon keeps its services.
+    /// Where the daemon keeps its services. With the default a client looks under `/run/grnet`, in this user's own
+    /// folders and under iceoryx2's own root. How the daemon shares its stream is found out there.
     pub root: Root,
-    /// Who may subscribe, as the daemon is configured.
-    pub access: AccessMode,
 }
 
 impl Connection {
-    /// The daemon of this user that serves `camera`.
+    /// The daemon that serves `camera`.
     pub fn to(camera: CameraName) -> Self {
         Self { camera, ..Self::default() }
     }
 
     pub(crate) fn node(&self) -> Result<Node, ClientError> {
-        Ok(Node::open(self.access, &self.root, Role::Client)?)
+        let (access, root) = find(&self.camera, &self.root)?;
+        Ok(Node::open(access, &root, Role::Client)?)
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use grnet_geometry::{Pose, quaternion};
-use grnet_proto::{Command, ControlReply, ControlRequest, Node, Outcome};
+use grnet_proto::{Command, ControlReply, ControlRequest, Node, Outcome, TransportError, names};
 
 use crate::{ClientError, Connection};
 
@@ -15,7 +15,8 @@ use crate::{ClientError, Connection};
 pub struct ControlClient {
     // The port before the node it was opened on: fields are dropped in this order.
     client: grnet_proto::ControlClient,
-    _node: Node,
+    node: Node,
+    connection: Connection,
     timeout: Duration,
 }
 
@@ -26,8 +27,10 @@ impl ControlClient {
     /// As for [`PoseSubscriber::open`](crate::PoseSubscriber::open).
     pub fn open(connection: &Connection, timeout: Duration) -> Result<Self, ClientError> {
         let node = connection.node()?;
+        // A daemon that was killed would be waited for.
+        node.cleanup_dead_nodes();
         let client = grnet_proto::ControlClient::open(&node, &connection.camera)?;
-        Ok(Self { client, _node: node, timeout })
+        Ok(Self { client, node, connection: connection.clone(), timeout })
     }
 
     /// Restarts odometry at identity.
@@ -45,6 +48,22 @@ impl ControlClient {
     pub fn set_pose(&mut self, map_from_base: &Pose) -> Result<Box<ControlReply>, ClientError> {
         let translation_m = map_from_base.translation.vector.into();
         self.call(&ControlRequest::set_pose(translation_m, quaternion::xyzw(&map_from_base.rotation)))
+    }
+
+    /// Tells the daemon where the base is in the map, and how well that is known: standard deviations along and
+    /// about each axis. With a scene the network's pose has then to agree; without them it wins at once.
+    ///
+    /// # Errors
+    /// [`ClientError::Refused`], [`ClientError::Timeout`].
+    pub fn set_uncertain_pose(
+        &mut self,
+        map_from_base: &Pose,
+        translation_stddev_m: f64,
+        rotation_stddev_rad: f64,
+    ) -> Result<Box<ControlReply>, ClientError> {
+        let translation_m = map_from_base.translation.vector.into();
+        let request = ControlRequest::set_pose(translation_m, quaternion::xyzw(&map_from_base.rotation));
+        self.call(&request.with_stddev(translation_stddev_m, rotation_stddev_rad))
     }
 
     /// Loads a scene from a file of the daemon's machine; the old one stays when that fails.
@@ -74,7 +93,17 @@ impl ControlClient {
     }
 
     fn call(&mut self, request: &ControlRequest) -> Result<Box<ControlReply>, ClientError> {
-        let reply = Box::new(self.client.call(request, self.timeout)?);
+        let answer = self.client.call(request, self.timeout);
+        if matches!(answer, Err(TransportError::NoAnswer { .. })) {
+            self.node.cleanup_dead_nodes();
+            if !self.client.has_server() {
+                return Err(ClientError::NoDaemon(TransportError::NoDaemon {
+                    service: names::control(&self.connection.camera),
+                    root: self.connection.root.to_string(),
+                }));
+            }
+        }
+        let reply = Box::new(answer?);
         if reply.outcome == Outcome::DONE { Ok(reply) } else { Err(ClientError::Refused(reply)) }
     }
 }

@@ -11,13 +11,13 @@ pub enum ClientError {
     /// Nobody publishes.
     #[error("{0}")]
     NoDaemon(TransportError),
-    /// This user may not subscribe.
+    /// This user may not subscribe, or not ask for what was asked.
     #[error("{0}")]
     PermissionDenied(TransportError),
     /// Daemon and client are of different versions.
     #[error("{0}")]
     SchemaMismatch(TransportError),
-    /// The root or access mode that was configured cannot be used.
+    /// The root that was configured cannot be used, or this build cannot join the daemon that is there.
     #[error("{0}")]
     BadConfiguration(TransportError),
     /// Every slot for subscribers is taken.
@@ -50,13 +50,15 @@ impl From<TransportError> for ClientError {
     fn from(error: TransportError) -> Self {
         match error {
             TransportError::NoDaemon { .. } => Self::NoDaemon(error),
-            TransportError::PermissionDenied { .. } => Self::PermissionDenied(error),
+            TransportError::PermissionDenied { .. } | TransportError::NotMember { .. } => {
+                Self::PermissionDenied(error)
+            }
             TransportError::SchemaMismatch { .. } | TransportError::Incompatible { .. } => {
                 Self::SchemaMismatch(error)
             }
-            TransportError::UnusableRoot { .. } | TransportError::AccessNotBuilt { .. } => {
-                Self::BadConfiguration(error)
-            }
+            TransportError::UnusableRoot { .. }
+            | TransportError::AccessNotBuilt { .. }
+            | TransportError::OtherBuild { .. } => Self::BadConfiguration(error),
             TransportError::TooManySubscribers { .. } => Self::TooManySubscribers(error),
             TransportError::NoAnswer { service, waited_ms } => Self::Timeout {
                 service,

@@ -22,7 +22,14 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+// The command's modules call the library by the name that its users do.
+#[cfg(feature = "cli")]
+extern crate self as grnet_client;
+
 mod callback;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod cli;
 mod connection;
 mod control;
 mod error;

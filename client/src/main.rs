@@ -1,10 +1,8 @@
 //! The `grnet-client` command: watch the pose stream and ask the daemon how it is.
 #![forbid(unsafe_code)]
 
-mod cli;
-
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    cli::main()
+    grnet_client::cli::main()
 }

@@ -57,10 +57,7 @@ impl StatusReader {
         if self.subscription.has_publisher() {
             ClientError::Timeout { service, expected: "status", waited }
         } else {
-            ClientError::NoDaemon(TransportError::NoDaemon {
-                service,
-                root: self.connection.root.to_string(),
-            })
+            ClientError::NoDaemon(TransportError::NoDaemon { service, root: self.node.root().to_string() })
         }
     }
 }

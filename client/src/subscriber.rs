@@ -42,8 +42,7 @@ impl PoseSubscriber {
     /// [`ClientError::NoDaemon`], [`ClientError::PermissionDenied`], [`ClientError::SchemaMismatch`],
     /// [`ClientError::TooManySubscribers`].
     pub fn open(connection: &Connection) -> Result<Self, ClientError> {
-        let node = connection.node()?;
-        let subscription = PoseSubscription::open(&node, &connection.camera)?;
+        let (node, subscription) = attach(connection)?;
         let now = Instant::now();
         Ok(Self {
             subscription: Some(subscription),
@@ -179,15 +178,17 @@ impl PoseSubscriber {
         }
         self.checked = now;
         if self.subscription.is_none() {
-            return match PoseSubscription::open(&self.node, &self.connection.camera) {
-                Ok(subscription) => {
+            return match attach(&self.connection) {
+                Ok((node, subscription)) => {
+                    // The daemon may share in another way than the one that went.
+                    self.node = node;
                     self.subscription = Some(subscription);
                     self.absent_since = None;
                     self.quiet_since = now;
                     Ok(())
                 }
-                Err(TransportError::NoDaemon { .. }) => Ok(()),
-                Err(error) => Err(error.into()),
+                Err(ClientError::NoDaemon(_)) => Ok(()),
+                Err(error) => Err(error),
             };
         }
         self.node.cleanup_dead_nodes();
@@ -204,12 +205,15 @@ impl PoseSubscriber {
         if self.has_daemon() {
             ClientError::Timeout { service, expected: "sample", waited }
         } else {
-            ClientError::NoDaemon(TransportError::NoDaemon {
-                service,
-                root: self.connection.root.to_string(),
-            })
+            ClientError::NoDaemon(TransportError::NoDaemon { service, root: self.node.root().to_string() })
         }
     }
+}
+
+fn attach(connection: &Connection) -> Result<(Node, PoseSubscription), ClientError> {
+    let node = connection.node()?;
+    let subscription = PoseSubscription::open(&node, &connection.camera)?;
+    Ok((node, subscription))
 }
 
 /// The samples of a [`PoseSubscriber`]; see [`PoseSubscriber::samples`].

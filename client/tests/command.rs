@@ -299,6 +299,6 @@ fn another_user_is_told_whose_the_files_are() {
         .unwrap();
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!((output.status.code(), error.lines().count()), (Some(77), 1), "{error}");
-    assert!(error.contains("belongs to user 0") && error.contains("runs as user 65534"), "{error}");
-    assert!(error.contains("--root"), "{error}");
+    assert!(error.contains("belongs to user root (0)") && error.contains("(65534), who may not"), "{error}");
+    assert!(error.contains("run as user root (0)") && error.contains("--root"), "{error}");
 }

@@ -16,7 +16,7 @@ pub(crate) struct Invalid {
     pub problem: String,
 }
 
-type Checked<T> = Result<T, Invalid>;
+pub(crate) type Checked<T> = Result<T, Invalid>;
 
 pub(crate) fn config(raw: Raw) -> Checked<GrnetdConfig> {
     Ok(GrnetdConfig {
@@ -38,6 +38,7 @@ pub(crate) fn config(raw: Raw) -> Checked<GrnetdConfig> {
         tracking: tracking(raw.tracking)?,
         publish: publish(raw.publish)?,
         record: record(raw.record)?,
+        realtime: crate::realtime::realtime(raw.realtime)?,
         log: log(raw.log)?,
     })
 }
@@ -228,6 +229,16 @@ fn publish(raw: RawPublish) -> Checked<PublishConfig> {
             return refuse("publish.prefix", "it is no such name");
         }
     }
+    for (key, name) in [("publish.group", &raw.group), ("publish.control_group", &raw.control_group)] {
+        let Some(name) = name else { continue };
+        if !matches!(raw.access, RawAccess::Group) {
+            return refuse(key, "it needs publish.access = \"group\"");
+        }
+        let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.'));
+        if !plain || !(1..=32).contains(&name.len()) {
+            return refuse(key, "it is no such name");
+        }
+    }
     let bytes = root.as_ref().map_or(0, |root| root.as_os_str().len());
     if bytes + raw.prefix.as_ref().map_or("iox2_".len(), String::len) > 60 {
         return refuse("publish.root", "socket names below it would become too long");
@@ -235,7 +246,11 @@ fn publish(raw: RawPublish) -> Checked<PublishConfig> {
     Ok(PublishConfig {
         access: match raw.access {
             RawAccess::User => Access::User,
+            RawAccess::Group => Access::Group,
+            RawAccess::Everyone => Access::Everyone,
         },
+        group: raw.group,
+        control_group: raw.control_group,
         root,
         prefix: raw.prefix,
         creation_timeout: Duration::from_millis(within(
@@ -301,7 +316,7 @@ fn transform(key: &'static str, raw: RawTransform) -> Checked<Pose> {
     Ok(Pose::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
 }
 
-fn within<T: PartialOrd>(key: &'static str, value: T, least: T, most: T) -> Checked<T> {
+pub(crate) fn within<T: PartialOrd>(key: &'static str, value: T, least: T, most: T) -> Checked<T> {
     if value >= least && value <= most {
         Ok(value)
     } else {

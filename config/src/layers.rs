@@ -80,13 +80,19 @@ impl Layers {
         Ok(Self { path: path.to_owned(), layers })
     }
 
-    pub(crate) fn config(&self) -> Result<GrnetdConfig, ConfigError> {
+    /// The file with the overrides in it.
+    pub(crate) fn merged(&self) -> Table {
         let mut merged = self.layers[0].document.as_table().clone();
         for layer in &self.layers[1..] {
             for leaf in &layer.leaves {
                 set(&mut merged, &leaf.key, item(layer.document.as_table(), &leaf.key));
             }
         }
+        merged
+    }
+
+    pub(crate) fn config(&self) -> Result<GrnetdConfig, ConfigError> {
+        let merged = self.merged();
         let raw: Raw =
             toml_edit::de::from_document(DocumentMut::from(merged)).map_err(|error| ConfigError::Syntax {
                 origin: Box::new(Origin::Missing { path: self.path.clone() }),
@@ -227,7 +233,7 @@ impl LayerOrigin {
 }
 
 /// The item at a known key's path.
-fn item(table: &Table, key: &str) -> Item {
+pub(crate) fn item(table: &Table, key: &str) -> Item {
     let mut item = Item::Table(table.clone());
     for part in key.split('.') {
         item = item.get(part).cloned().unwrap_or_default();

@@ -19,6 +19,8 @@ mod error;
 mod keys;
 mod layers;
 mod raw;
+mod realtime;
+mod settings;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,6 +30,8 @@ pub use error::{ConfigError, Origin};
 pub use keys::{KEYS, Key};
 pub use layers::Override;
 use nalgebra::Isometry3;
+pub use realtime::RealtimeConfig;
+pub use settings::{EXAMPLE, Settings};
 
 /// A rigid transform: the same type as `grnet_geometry::Pose`.
 pub type Pose = Isometry3<f64>;
@@ -49,6 +53,8 @@ pub struct GrnetdConfig {
     pub publish: PublishConfig,
     /// `[record]`: how frames are written to disk.
     pub record: RecordConfig,
+    /// `[realtime]`: what is asked of the scheduler.
+    pub realtime: RealtimeConfig,
     /// `[log]`: what is written to stderr.
     pub log: LogConfig,
 }
@@ -212,7 +218,12 @@ pub enum AfterRejections {
 pub struct PublishConfig {
     /// Who may subscribe.
     pub access: Access,
-    /// Folder of the iceoryx2 files instead of iceoryx2's own.
+    /// Whose members may subscribe, by name or number; the daemon's own group when `None`. With [`Access::Group`] alone.
+    pub group: Option<String>,
+    /// Whose members may ask for changes of the daemon's state; whoever may subscribe when `None`. With
+    /// [`Access::Group`] alone.
+    pub control_group: Option<String>,
+    /// Folder of the stream's files instead of the one that follows from the access.
     pub root: Option<PathBuf>,
     /// Prefix of the iceoryx2 file names instead of iceoryx2's own.
     pub prefix: Option<String>,
@@ -234,8 +245,12 @@ impl PublishConfig {
 /// `publish.access`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// Processes of the same Unix user, stock iceoryx2 clients included.
+    /// Processes of the same Unix user.
     User,
+    /// Members of a group, and root.
+    Group,
+    /// Every local user.
+    Everyone,
 }
 
 /// `[record]`.
@@ -296,6 +311,16 @@ impl GrnetdConfig {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path, overrides)
+    }
+
+    /// As [`GrnetdConfig::load`], with the value of every key for a later comparison.
+    ///
+    /// # Errors
+    /// See [`ConfigError`].
+    pub fn load_with_settings(path: &Path, overrides: &[Override]) -> Result<(Self, Settings), ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        Ok((Self::parse(&text, path, overrides)?, Settings::parse(&text, path, overrides)?))
     }
 
     /// As [`GrnetdConfig::load`], for a text that stands in the file `path`.

@@ -18,6 +18,7 @@ pub(crate) struct Raw {
     pub tracking: RawTracking,
     pub publish: RawPublish,
     pub record: RawRecord,
+    pub realtime: crate::realtime::RawRealtime,
     pub log: RawLog,
 }
 
@@ -295,6 +296,8 @@ impl Default for RawTracking {
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct RawPublish {
     pub access: RawAccess,
+    pub group: Option<String>,
+    pub control_group: Option<String>,
     pub root: Option<PathBuf>,
     pub prefix: Option<String>,
     pub creation_timeout_ms: u64,
@@ -306,6 +309,8 @@ impl Default for RawPublish {
     fn default() -> Self {
         Self {
             access: RawAccess::User,
+            group: None,
+            control_group: None,
             root: None,
             prefix: None,
             creation_timeout_ms: 20,
@@ -319,6 +324,8 @@ impl Default for RawPublish {
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RawAccess {
     User,
+    Group,
+    Everyone,
 }
 
 #[derive(Debug, Deserialize)]

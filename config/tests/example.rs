@@ -52,9 +52,18 @@ fn the_example_has_every_key_in_order_and_each_is_explained() {
     let paths: Vec<&str> = found.iter().map(|(path, _)| path.as_str()).collect();
     let expected: Vec<&str> = KEYS.iter().map(|key| key.path).collect();
     assert_eq!(paths, expected);
-    let shares_a_comment = ["height_px", "fy_px", "cy_px", "prefix", "frame_limit", "size_px"]
-        .map(|name| format!(".{name}"))
-        .map(String::from);
+    let shares_a_comment = [
+        "height_px",
+        "fy_px",
+        "cy_px",
+        "prefix",
+        "frame_limit",
+        "size_px",
+        "worker_priority",
+        "publish_priority",
+    ]
+    .map(|name| format!(".{name}"))
+    .map(String::from);
     for (path, commented) in found {
         let shared = shares_a_comment.iter().any(|name| path.ends_with(name));
         assert!(commented || shared, "{path} has no comment");

@@ -4,10 +4,10 @@ use std::io::Write;
 
 use grnet_geometry::{Pose, quaternion};
 use grnet_model::Heads;
-use grnet_proto::access::free_shared_memory;
 use grnet_proto::{ContentHash, names, qos};
 
 use crate::failure::Failure;
+use crate::realtime::{Realtime, Refusal};
 use crate::run::Loaded;
 use crate::setup::Parts;
 
@@ -16,13 +16,18 @@ use crate::setup::Parts;
 /// # Errors
 /// What `grnetd run` would end with, and when `out` cannot be written.
 pub fn check(loaded: &Loaded, out: &mut impl Write) -> Result<(), Failure> {
+    let realtime = Realtime::prepare(&loaded.config.realtime)?;
     let parts = Parts::prepare(&loaded.config)?;
-    let text = describe(loaded, &parts)?;
+    let text = describe(loaded, &parts, &realtime)?;
     out.write_all(text.as_bytes())
         .map_err(|error| Failure::internal(format!("cannot write to standard output: {error}")))
 }
 
-fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
+fn describe(
+    loaded: &Loaded,
+    parts: &Parts,
+    (realtime, refusals): &(Realtime, Vec<Refusal>),
+) -> Result<String, Failure> {
     let Parts { camera, transport, source, model, pipeline, .. } = parts;
     let info = pipeline.info();
     let source = source.info();
@@ -33,8 +38,12 @@ fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
     line("services", [names::pose(camera), names::status(camera), names::control(camera)].join(", "));
     line("access", format!("{}, files under {}", transport.access, transport.root));
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let (needed, free) = (qos::shared_memory_needed_bytes(), free_shared_memory()?);
-    line("shared memory", format!("at most {:.1} MiB needed, {:.0} MiB free", mib(needed), mib(free)));
+    let (needed, free) = (qos::shared_memory_needed_bytes(), transport.root.free_space(transport.access)?);
+    let place = transport.root.file_system(transport.access);
+    line(
+        "shared memory",
+        format!("at most {:.1} MiB needed, {:.0} MiB free in {}", mib(needed), mib(free), place.display()),
+    );
 
     line("model", format!("{} (SHA-256 {})", model.name, ContentHash(model.model_hash)));
     line("", if model.trained { "trained".into() } else { "NOT TRAINED: its poses mean nothing".to_owned() });
@@ -57,6 +66,11 @@ fn describe(loaded: &Loaded, parts: &Parts) -> Result<String, Failure> {
         format!("{width}x{height}, f ({fx}, {fy}) px, c ({cx}, {cy}) px, {:?}", camera.distortion())
     });
     line("intrinsics", intrinsics);
+    let settings = realtime.describe();
+    line("real-time", if settings.is_empty() { "nothing asked for".into() } else { settings });
+    for refusal in refusals {
+        line("", format!("REFUSED: {refusal}"));
+    }
     for note in parts.source_notes.iter().chain(&info.notes) {
         line("note", note.clone());
     }

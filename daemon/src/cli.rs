@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use grnet_config::{GrnetdConfig, Override};
 
 use crate::failure::Failure;
@@ -50,6 +50,11 @@ struct Configuration {
     /// Set a key for this run, before what the file says; may be given several times.
     #[arg(long = "set", value_name = "SECTION.KEY=VALUE")]
     set: Vec<String>,
+}
+
+/// The command line, for those who describe it.
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Does what the arguments say; the result is the process's exit code.
@@ -104,15 +109,14 @@ impl Configuration {
             .map(|text| Override::parse(text))
             .collect::<Result<_, _>>()
             .map_err(Failure::config)?;
-        let config = GrnetdConfig::load(&self.config, &overrides).map_err(Failure::config)?;
-        Ok(Loaded { config, path: self.config.clone(), overrides, record: None })
+        let (config, settings) =
+            GrnetdConfig::load_with_settings(&self.config, &overrides).map_err(Failure::config)?;
+        Ok(Loaded { config, settings, path: self.config.clone(), overrides, record: None })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
     use super::*;
 
     #[test]

@@ -15,6 +15,7 @@ use crate::activity::Activity;
 use crate::convert;
 use crate::failure::Failure;
 use crate::record::{Ask, Asked};
+use crate::reload::Reloader;
 use crate::scenes::{SceneError, SceneLibrary};
 use crate::setup::Transport;
 use crate::state::State;
@@ -27,6 +28,10 @@ const WAIT: Duration = Duration::from_millis(100);
 /// How often the leftovers of killed clients are looked for.
 const CLEAN_UP: Duration = Duration::from_secs(2);
 
+/// The answer to who went round the folder of the control group.
+const FOR_ANOTHER_GROUP: &str =
+    "requests that change the daemon's state are for members of publish.control_group";
+
 /// What the control thread works with.
 #[derive(Debug)]
 pub struct Control {
@@ -34,10 +39,16 @@ pub struct Control {
     pub transport: Transport,
     /// Gets one message when the camera's name is ours.
     pub opened: Receiver<()>,
+    /// Gets one message when requests are answered.
+    pub controlled: Sender<()>,
     /// Which scenes there are.
     pub scenes: SceneLibrary,
     /// Orders to the worker.
     pub orders: Sender<Order>,
+    /// SIGHUP came.
+    pub reloads: Receiver<()>,
+    /// What a reload works with.
+    pub reloader: Reloader,
     /// Requests to the recorder.
     pub recorder: Sender<Asked>,
     /// What is told.
@@ -66,16 +77,30 @@ pub fn run(mut control: Control) -> Result<(), Failure> {
     let node = Node::open(control.transport.access, &control.transport.root, Role::Daemon)?;
     let server = ControlServer::open(&node, &control.state.identity.camera)?;
     control.state.set_scenes(control.scenes.list());
+    // A publisher that has gone has told why.
+    let _ = control.controlled.try_send(());
 
     let mut cleaned = Instant::now();
     while !control.stop.is_stopped() {
         control.activity.work();
         while let Some(pending) = server.receive()? {
             let request = pending.request();
-            let (outcome, message) = control.answer(&request);
-            tracing::info!(command = %request.command, %outcome, message, "request");
+            let (outcome, message) = if request.command.changes_state() && !pending.may_change_state() {
+                (Outcome::REFUSED, FOR_ANOTHER_GROUP.to_owned())
+            } else {
+                control.answer(&request)
+            };
+            if request.command == Command::STATUS {
+                tracing::debug!(command = %request.command, %outcome, "request");
+            } else {
+                tracing::info!(command = %request.command, %outcome, message, "request");
+            }
             let status = control.state.status(Now::read());
             pending.reply(&ControlReply::new(&request, outcome, &message, status))?;
+        }
+        // Several signals that came meanwhile ask for one reload.
+        if control.reloads.try_iter().count() > 0 {
+            control.reload();
         }
         if cleaned.elapsed() >= CLEAN_UP {
             cleaned = Instant::now();
@@ -103,7 +128,7 @@ impl Control {
             Command::STATUS => (Outcome::DONE, "the status is in the reply".into()),
             Command::RESET_ODOMETRY => self.order(Change::ResetOdometry),
             Command::SET_POSE => match convert::requested_pose(request) {
-                Ok(pose) => self.order(Change::SetPose(pose)),
+                Ok((pose, covariance)) => self.order(Change::SetPose(pose, covariance.into())),
                 Err(problem) => (Outcome::INVALID, problem),
             },
             Command::PAUSE => self.order(Change::Pause),
@@ -142,6 +167,9 @@ impl Control {
     }
 
     fn select_scene(&mut self, name: &str) -> Result<String, SceneError> {
+        if self.scenes.is_active(name) {
+            return Ok(format!("scene in use: {name}, as before"));
+        }
         let prepared = self.scenes.prepare_selected(name)?;
         let done = self.change(Change::Swap(Box::new(prepared))).map_err(SceneError::Failed)?;
         self.scenes.selected(name);
@@ -159,7 +187,7 @@ impl Control {
     }
 
     /// Asks the recorder, which answers between two frames.
-    fn record(&self, ask: Ask) -> Answer {
+    pub(crate) fn record(&self, ask: Ask) -> Answer {
         self.activity.wait();
         let (reply, answer) = bounded(1);
         let ending = || (Outcome::FAILED, "the daemon is ending".into());
@@ -187,7 +215,7 @@ impl Control {
     }
 
     /// Asks the worker, which answers between two frames.
-    fn change(&self, what: Change) -> Result<String, String> {
+    pub(crate) fn change(&self, what: Change) -> Result<String, String> {
         const ENDING: &str = "the daemon is ending";
         self.activity.wait();
         let (reply, answer) = bounded(1);

@@ -1,7 +1,7 @@
 //! Pipeline types to wire types and back: the only place that knows both.
 
 use grnet_frame::{CaptureTime, Clock};
-use grnet_geometry::{Pose, quaternion};
+use grnet_geometry::{Covariance6, Pose, quaternion};
 use grnet_pipeline as pipeline;
 use grnet_proto::{
     BootId, CameraName, CaptureClock, ContentHash, ControlRequest, FixedText, PoseSample, PoseWithCovariance,
@@ -73,14 +73,32 @@ pub fn pose_sample(
 ///
 /// # Errors
 /// What is wrong with its numbers.
-pub fn requested_pose(request: &ControlRequest) -> Result<Pose, String> {
+pub fn requested_pose(request: &ControlRequest) -> Result<(Pose, Covariance6), String> {
     let translation_m = request.map_from_base_translation_m;
     if !translation_m.iter().all(|value| value.is_finite()) {
         return Err(format!("the translation {translation_m:?} is not finite"));
     }
     let rotation = quaternion::from_xyzw(request.map_from_base_quaternion_xyzw)
         .map_err(|error| format!("the rotation cannot be used: {error}"))?;
-    Ok(Isometry3::from_parts(Translation3::from(Vector3::from(translation_m)), rotation))
+    let pose = Isometry3::from_parts(Translation3::from(Vector3::from(translation_m)), rotation);
+    let covariance = match (request.translation_stddev_m, request.rotation_stddev_rad) {
+        (0.0, 0.0) => Covariance6::nan(),
+        (translation_m, rotation_rad) if translation_m > 0.0 && rotation_rad > 0.0 => {
+            let (t, r) = (translation_m * translation_m, rotation_rad * rotation_rad);
+            Covariance6::from_diagonal([t, t, t, r, r, r])
+        }
+        (translation_m, rotation_rad) => {
+            return Err(format!(
+                "the standard deviations {translation_m} m and {rotation_rad} rad have to be both greater than 0, or \
+                 both 0 when they are not known"
+            ));
+        }
+    };
+    if covariance.is_finite() || covariance.matrix().iter().all(|value| value.is_nan()) {
+        Ok((pose, covariance))
+    } else {
+        Err("the standard deviations are too large".to_owned())
+    }
 }
 
 fn capture_time(time: CaptureTime) -> (u64, CaptureClock) {
@@ -253,7 +271,17 @@ mod tests {
         assert!(requested_pose(&ControlRequest::new(Command::SET_POSE)).unwrap_err().contains("not finite"));
         let zero = ControlRequest::set_pose([0.0; 3], [0.0; 4]);
         assert!(requested_pose(&zero).unwrap_err().contains("rotation"));
-        let pose = requested_pose(&ControlRequest::set_pose([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])).unwrap();
+        let here = ControlRequest::set_pose([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0]);
+        let (pose, covariance) = requested_pose(&here).unwrap();
+        assert!(!covariance.is_finite());
+        let (_, covariance) = requested_pose(&here.with_stddev(0.5, 0.25)).unwrap();
+        assert_eq!(covariance, Covariance6::from_diagonal([0.25, 0.25, 0.25, 0.0625, 0.0625, 0.0625]));
+        for (translation_m, rotation_rad) in [(0.5, 0.0), (-1.0, 1.0), (f64::NAN, 1.0), (f64::MAX, 1.0)] {
+            assert!(
+                requested_pose(&here.with_stddev(translation_m, rotation_rad)).is_err(),
+                "{translation_m}"
+            );
+        }
         assert_eq!(pose, Isometry3::translation(1.0, 2.0, 3.0));
     }
 
@@ -262,7 +290,7 @@ mod tests {
         fn poses_survive_the_wire(t in prop::array::uniform3(-1e3..1e3f64), a in prop::array::uniform3(-3.0..3.0f64)) {
             let pose = Isometry3::new(Vector3::from(t), Vector3::from(a));
             let wire = pose_with_covariance(&pipeline::PoseEstimate::known(pose, Covariance6::nan()));
-            let back = requested_pose(&ControlRequest::set_pose(wire.translation_m, wire.quaternion_xyzw)).unwrap();
+            let (back, _) = requested_pose(&ControlRequest::set_pose(wire.translation_m, wire.quaternion_xyzw)).unwrap();
             prop_assert!((back.translation.vector - pose.translation.vector).norm() == 0.0);
             prop_assert!(back.rotation.angle_to(&pose.rotation) < 1e-7);
         }

@@ -77,7 +77,7 @@ impl From<TransportError> for Failure {
     fn from(error: TransportError) -> Self {
         use TransportError as E;
         let kind = match &error {
-            E::PermissionDenied { .. } => Kind::Permission,
+            E::PermissionDenied { .. } | E::WrongFolder { .. } | E::NotMember { .. } => Kind::Permission,
             E::AccessNotBuilt { .. } | E::UnusableRoot { .. } => Kind::Config,
             E::Internal { .. } => Kind::Internal,
             _ => Kind::Unavailable,

@@ -15,8 +15,9 @@
 //! | [`slot`] | between capture and worker: what happens to a frame that nobody has time for |
 //! | [`convert`] | pipeline types to wire types, nowhere else |
 //! | [`state`], [`latency`] | what the daemon knows about itself |
+//! | [`reload`] | SIGHUP |
 //! | [`scenes`] | loading and changing scenes while frames flow |
-//! | [`logging`], [`service_manager`], [`signals`] | stderr, systemd, Unix |
+//! | [`logging`], [`service_manager`], [`signals`], [`realtime`] | stderr, systemd, Unix |
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
@@ -32,7 +33,9 @@ pub mod feed;
 pub mod latency;
 pub mod logging;
 pub mod publish;
+pub mod realtime;
 pub mod record;
+pub mod reload;
 pub mod repeats;
 pub mod run;
 pub mod scenes;

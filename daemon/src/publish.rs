@@ -34,12 +34,16 @@ pub struct Publish {
     pub transport: Transport,
     /// Between two heartbeats.
     pub heartbeat: Duration,
+    /// Other times between heartbeats, from then on.
+    pub heartbeats: Receiver<Duration>,
     /// `None` for a recording as fast as possible: its poses are stale when the next one comes.
     pub silence: Option<Duration>,
     /// The gate to the frames is opened when so many subscribers are there.
     pub wait_for_subscribers: usize,
     /// Gets one message when the ports are open: the name is ours.
     pub opened: Sender<()>,
+    /// Gets one message when requests are answered: nobody is to be told READY before.
+    pub controlled: Receiver<()>,
     /// Gets one message when frames may be read.
     pub gate: Sender<()>,
     /// Samples from the worker.
@@ -78,11 +82,16 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
     tracing::info!(service = ports.pose.service(), root = %transport.root, "publishing");
     // Threads that have gone have told their error elsewhere.
     let _ = publish.opened.try_send(());
+    activity.wait();
+    select! {
+        recv(publish.controlled) -> _ => {}
+        recv(stop.channel()) -> _ => {}
+    }
     ports.admit_subscribers(&publish)?;
     let _ = publish.gate.try_send(());
 
-    let beat = tick(publish.heartbeat);
-    let mut outages = publish.outages.clone();
+    let mut beat = tick(publish.heartbeat);
+    let (mut outages, mut heartbeats) = (publish.outages.clone(), publish.heartbeats.clone());
     loop {
         activity.wait();
         select! {
@@ -95,6 +104,10 @@ pub fn run(publish: Publish) -> Result<(), Failure> {
                 Err(_) => outages = never(),
             },
             recv(beat) -> _ => { activity.work(); ports.heartbeat()?; }
+            recv(heartbeats) -> period => match period {
+                Ok(period) => beat = tick(period),
+                Err(_) => heartbeats = never(),
+            },
             recv(stop.channel()) -> _ => break,
         }
     }

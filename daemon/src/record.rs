@@ -32,6 +32,8 @@ pub enum Ask {
     Start(Option<PathBuf>),
     /// End it.
     Stop,
+    /// Begin later recordings as this one does.
+    Configure(Box<Recorder>),
 }
 
 /// A request with the place for its answer.
@@ -236,6 +238,10 @@ impl Thread {
 
     fn answer(&mut self, (ask, reply): Asked) {
         let answer = match (ask, &self.writer) {
+            (Ask::Configure(recorder), _) => {
+                self.recorder = *recorder;
+                (Outcome::DONE, "the next recording is configured".to_owned())
+            }
             (Ask::Start(_), Some(writer)) => (
                 Outcome::REFUSED,
                 format!("a recording is on in {}: stop it first", writer.folder().display()),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crossbeam_channel::{bounded, select, unbounded};
 use grnet_capture::RecordingWriter;
-use grnet_config::{GrnetdConfig, Override};
+use grnet_config::{GrnetdConfig, Override, Settings};
 use grnet_frame::SourceKind;
 use grnet_proto::BootId;
 
@@ -14,7 +14,9 @@ use crate::control::{self, Control};
 use crate::failure::Failure;
 use crate::logging::LogHandle;
 use crate::publish::{self, Publish};
+use crate::realtime::{Part, Realtime};
 use crate::record::{self, Record, Recorder};
+use crate::reload::Reloader;
 use crate::scenes::SceneLibrary;
 use crate::service_manager::ServiceManager;
 use crate::setup::Parts;
@@ -32,6 +34,8 @@ const QUEUE: usize = 4;
 pub struct Loaded {
     /// What is configured.
     pub config: GrnetdConfig,
+    /// The same key by key.
+    pub settings: Settings,
     /// The file.
     pub path: PathBuf,
     /// What goes before it.
@@ -45,19 +49,29 @@ pub struct Loaded {
 /// # Errors
 /// The first error of any part.
 pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
+    // Before there are other threads, which inherit.
+    let (realtime, refusals) = Realtime::prepare(&loaded.config.realtime)?;
     let signals = SignalThread::start()?;
     let manager = Arc::new(ServiceManager::default());
     tracing::info!(version = grnet_proto::PACKAGE_VERSION, config = %loaded.path.display(), "starting");
+    if !realtime.describe().is_empty() {
+        tracing::info!(settings = realtime.describe(), refused = refusals.len(), "real-time");
+    }
     manager.status("loading the model");
     let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };
     parts.log();
     let state = Arc::new(parts.state()?);
+    for refusal in &refusals {
+        tracing::warn!("{refusal}");
+        state.report_error(refusal.to_string());
+    }
     // The last thing that a bad configuration can get wrong: it leaves no empty folder behind.
     let recorder = Recorder::new(&loaded.config, &state.identity);
     let first = loaded.record.as_deref().map(|folder| recorder.begin(folder)).transpose();
     let recording = Recording { recorder, first: first.map_err(Failure::config)? };
 
-    let result = stream(parts, recording, &loaded, Arc::clone(&state), Arc::clone(&manager), &signals, log);
+    let host = Host { realtime, manager, log: log.clone() };
+    let result = stream(parts, recording, loaded, Arc::clone(&state), host, &signals);
     tracing::info!("{}", state.summary());
     result
 }
@@ -68,19 +82,27 @@ struct Recording {
     first: Option<RecordingWriter>,
 }
 
+/// What the daemon is to the system that it runs on.
+struct Host {
+    realtime: Realtime,
+    manager: Arc<ServiceManager>,
+    log: LogHandle,
+}
+
 /// capture -> slot of one -> worker: preprocess -> infer -> fuse -> queue -> publish -> iceoryx2.
 /// Beside it, while a recording is on: capture -> queue -> record -> disk.
 fn stream(
     parts: Parts,
     recording: Recording,
-    loaded: &Loaded,
+    loaded: Loaded,
     state: Arc<State>,
-    manager: Arc<ServiceManager>,
+    host: Host,
     signals: &SignalThread,
-    log: &LogHandle,
 ) -> Result<(), Failure> {
     let Parts { transport, source, pipeline, model, .. } = parts;
-    let GrnetdConfig { publish, source: source_config, model: files, .. } = &loaded.config;
+    let Host { realtime, manager, log } = host;
+    let GrnetdConfig { publish, source: source_config, model: files, record: recording_config, .. } =
+        loaded.config.clone();
     let kind = source.info().kind;
     let mut threads = Supervisor::new(Arc::clone(&manager));
     let stop = || threads.stop();
@@ -89,10 +111,12 @@ fn stream(
     let (outages_in, outages_out) = unbounded();
     let (orders_in, orders_out) = bounded(1);
     let (opened_in, opened_out) = bounded(1);
+    let (controlled_in, controlled_out) = bounded(1);
     let (gate_in, gate_out) = bounded(1);
     let (asked_in, asked_out) = bounded(1);
-    let (tap, tapped) =
-        record::tap(kind, loaded.config.record.queue_frames, recording.first.is_some(), stop());
+    let (reloads_in, reloads_out) = unbounded();
+    let (heartbeats_in, heartbeats_out) = unbounded();
+    let (tap, tapped) = record::tap(kind, recording_config.queue_frames, recording.first.is_some(), stop());
 
     let capture = Capture {
         source,
@@ -121,8 +145,11 @@ fn stream(
     let control = Control {
         transport: transport.clone(),
         opened: opened_out,
+        controlled: controlled_in,
         scenes: SceneLibrary::new(&files.checkpoint, files.scene.as_deref(), &model),
         orders: orders_in,
+        reloads: reloads_out,
+        reloader: Reloader { loaded, log, heartbeats: heartbeats_in, manager: Arc::clone(&manager) },
         recorder: asked_in,
         state: Arc::clone(&state),
         stop: stop(),
@@ -140,9 +167,11 @@ fn stream(
     let publish = Publish {
         transport,
         heartbeat: publish.heartbeat(),
+        heartbeats: heartbeats_out,
         silence: (kind == SourceKind::Live).then_some(source_config.silence),
         wait_for_subscribers: publish.wait_for_subscribers,
         opened: opened_in,
+        controlled: controlled_out,
         gate: gate_in,
         output: queue_out,
         outages: outages_out,
@@ -152,13 +181,31 @@ fn stream(
         activity: Default::default(),
     };
 
+    let enter = |part| {
+        let realtime = realtime.clone();
+        move || realtime.enter(part)
+    };
+    let (as_publish, as_worker, as_capture) =
+        (enter(Part::Publish), enter(Part::Worker), enter(Part::Capture));
     // Who publishes first: a name that is taken ends the daemon before a frame is read.
-    threads.start("publish", &publish.activity.clone(), move || publish::run(publish))?;
+    threads.start("publish", &publish.activity.clone(), move || {
+        as_publish()?;
+        publish::run(publish)
+    })?;
     threads.start("control", &control.activity.clone(), move || control::run(control))?;
-    threads.start("worker", &worker.activity.clone(), move || worker::run(worker))?;
+    threads.start("worker", &worker.activity.clone(), move || {
+        as_worker()?;
+        worker::run(worker)
+    })?;
     threads.start("record", &record.activity.clone(), move || record::run(record))?;
-    threads.start("capture", &capture.activity.clone(), move || capture::run(capture))?;
-    threads.supervise("publish", signals, &state, || reload(loaded, &manager, log))
+    threads.start("capture", &capture.activity.clone(), move || {
+        as_capture()?;
+        capture::run(capture)
+    })?;
+    threads.supervise("publish", signals, &state, || {
+        // Without a control thread the daemon is ending.
+        let _ = reloads_in.send(());
+    })
 }
 
 /// Loads everything on a thread of its own, so that a signal ends the daemon also while a large model is read.
@@ -218,35 +265,4 @@ impl Parts {
         };
         Ok(State::new(identity, self.model.clone()))
     }
-}
-
-/// SIGHUP: the log level is applied, everything else is named; a configuration that cannot be used changes nothing.
-fn reload(loaded: &Loaded, manager: &ServiceManager, log: &LogHandle) {
-    manager.reloading();
-    match GrnetdConfig::load(&loaded.path, &loaded.overrides) {
-        Err(error) => tracing::warn!(%error, "the configuration was not reloaded"),
-        Ok(new) => {
-            let old = &loaded.config;
-            match log.set_level(&new.log.level) {
-                Ok(()) => tracing::info!(level = new.log.level, "the configuration was reloaded"),
-                Err(failure) => tracing::warn!(error = failure.chain(), "log.level was not changed"),
-            }
-            let sections = [
-                ("camera", old.camera_name != new.camera_name),
-                ("source", old.source != new.source),
-                ("model", old.model != new.model),
-                ("frames", old.frames != new.frames),
-                ("tracking", old.tracking != new.tracking),
-                ("publish", old.publish != new.publish),
-                ("record", old.record != new.record),
-                ("log.format", old.log.format != new.log.format),
-            ];
-            let changed: Vec<&str> =
-                sections.iter().filter(|(_, changed)| *changed).map(|(name, _)| *name).collect();
-            if !changed.is_empty() {
-                tracing::warn!(sections = changed.join(", "), "these changes need a restart");
-            }
-        }
-    }
-    manager.reloaded();
 }

@@ -181,9 +181,47 @@ impl SceneLibrary {
         Ok(prepared)
     }
 
+    /// Whether the scene `name` is in use.
+    pub fn is_active(&self, name: &str) -> bool {
+        self.active.is_some_and(|index| self.scenes[index].identity.name == name)
+    }
+
     /// The scene `name` runs now.
     pub fn selected(&mut self, name: &str) {
         self.active = self.index(name).ok();
+    }
+
+    /// Loads what a configuration with this `model.scene` runs; then call [`SceneLibrary::configured`].
+    ///
+    /// # Errors
+    /// When it cannot be used, or has the name of another loaded scene.
+    pub fn prepare_configured(&self, path: Option<&Path>) -> Result<Prepared, SceneError> {
+        let prepared = self.prepare(path)?;
+        let Some(identity) = &prepared.identity.scene else {
+            return match path {
+                Some(path) => Err(SceneError::Failed(format!("{} holds no scene", path.display()))),
+                None => Ok(prepared),
+            };
+        };
+        let is_new = !self.scenes.iter().any(|scene| scene.identity == *identity);
+        if is_new && self.scenes.len() == MAX_SCENES {
+            return Err(SceneError::Refused(format!("{MAX_SCENES} scenes are loaded: unload one first")));
+        }
+        if is_new && self.scenes.iter().any(|scene| scene.identity.name == identity.name) {
+            let name = &identity.name;
+            return Err(SceneError::Refused(format!("another scene {name} is loaded: unload it first")));
+        }
+        Ok(prepared)
+    }
+
+    /// What [`SceneLibrary::prepare_configured`] gave for `path` runs now.
+    pub fn configured(&mut self, path: Option<&Path>, in_use: &ModelIdentity) {
+        if let Some(identity) = &in_use.scene
+            && !self.scenes.iter().any(|scene| scene.identity == *identity)
+        {
+            self.scenes.push(Scene { identity: identity.clone(), path: path.map(Path::to_owned) });
+        }
+        self.active = self.scenes.iter().position(|scene| Some(&scene.identity) == in_use.scene.as_ref());
     }
 
     /// Loads what runs once the scene `name` is gone: `None` when it is not in use. Then call
@@ -205,12 +243,7 @@ impl SceneLibrary {
     /// Forgets the scene `name`; `in_use` is what runs now.
     pub fn remove(&mut self, name: &str, in_use: &ModelIdentity) {
         self.scenes.retain(|scene| scene.identity.name != name);
-        if let Some(identity) = &in_use.scene
-            && !self.scenes.iter().any(|scene| scene.identity == *identity)
-        {
-            self.scenes.push(Scene { identity: identity.clone(), path: None });
-        }
-        self.active = self.scenes.iter().position(|scene| Some(&scene.identity) == in_use.scene.as_ref());
+        self.configured(None, in_use);
     }
 
     fn index(&self, name: &str) -> Result<usize, SceneError> {

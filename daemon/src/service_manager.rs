@@ -37,8 +37,12 @@ impl ServiceManager {
         self.tell(&[NotifyState::Status(text)]);
     }
 
-    /// The configuration is being read again; [`ServiceManager::reloaded`] must follow.
+    /// The configuration is being read again; [`ServiceManager::reloaded`] must follow. Before READY nothing is
+    /// said: it would be taken for READY.
     pub fn reloading(&self) {
+        if !self.is_ready() {
+            return;
+        }
         match NotifyState::monotonic_usec_now() {
             Ok(now) => self.tell(&[NotifyState::Reloading, now]),
             Err(error) => tracing::debug!(%error, "cannot read the clock for the service manager"),
@@ -47,6 +51,9 @@ impl ServiceManager {
 
     /// The configuration was read again.
     pub fn reloaded(&self) {
+        if !self.is_ready() {
+            return;
+        }
         self.tell(&[NotifyState::Ready]);
     }
 

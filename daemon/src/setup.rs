@@ -10,8 +10,7 @@ use grnet_pipeline::{
     AfterRejections, InnovationGate, IntrinsicsOptions, IntrinsicsPolicy, Pipeline, PipelineOptions,
     TimeOptions,
 };
-use grnet_proto::access::require_shared_memory;
-use grnet_proto::{AccessMode, CameraName, Root, qos};
+use grnet_proto::{AccessMode, CameraName, Group, Root, qos};
 
 use crate::failure::Failure;
 use crate::scenes::{ModelIdentity, Prepared};
@@ -65,13 +64,20 @@ impl Transport {
     fn new(publish: &config::PublishConfig) -> Result<Self, Failure> {
         let access = match publish.access {
             config::Access::User => AccessMode::User,
+            config::Access::Group => AccessMode::Group,
+            config::Access::Everyone => AccessMode::Everyone,
         };
         access.check_built()?;
-        let root = match &publish.root {
-            Some(path) => Root::own(path, publish.prefix.as_deref())?,
-            None => Root::shared(),
+        let root = Root::for_daemon(access, publish.root.as_deref(), publish.prefix.as_deref())?;
+        root.require_space(access, qos::shared_memory_needed_bytes())?;
+        let group = |key: &'static str, name: &Option<String>| {
+            let group = name.as_deref().map(str::parse::<Group>).transpose();
+            group.context(key).map_err(Failure::config)
         };
-        require_shared_memory(qos::shared_memory_needed_bytes())?;
+        let root = root.with_groups(
+            group("publish.group", &publish.group)?,
+            group("publish.control_group", &publish.control_group)?,
+        );
         Ok(Self { access, root: root.with_creation_timeout(publish.creation_timeout) })
     }
 }

@@ -7,7 +7,9 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender, never, select};
 use grnet_frame::{CaptureTime, Clock};
 use grnet_geometry::{Covariance6, Pose};
-use grnet_pipeline::{Estimate, Pipeline, PreprocessError, Stage, StageObserver, StepError};
+use grnet_pipeline::{
+    Estimate, InnovationGate, Pipeline, PreprocessError, Stage, StageObserver, StepError, TimeOptions,
+};
 use grnet_proto::clock::monotonic_ns;
 use grnet_proto::{PoseSample, StageLatency, Status};
 
@@ -57,8 +59,17 @@ pub struct Order {
 pub enum Change {
     /// Odometry starts anew.
     ResetOdometry,
-    /// The base is there.
-    SetPose(Pose),
+    /// The base is there, known so well; NaN when not known.
+    SetPose(Pose, Box<Covariance6>),
+    /// Other rules for times and for the innovation gate.
+    Tracking {
+        /// When relative motion is believed.
+        time: TimeOptions,
+        /// When a global pose is believed.
+        gate: Option<InnovationGate>,
+        /// Samples of a start.
+        initializing_frames: u32,
+    },
     /// Other weights.
     Swap(Box<Prepared>),
     /// Take no frames.
@@ -229,9 +240,13 @@ impl Run {
                 pipeline.reset_odometry();
                 "odometry starts anew at the next frame".to_owned()
             }
-            Change::SetPose(map_from_base) => {
-                pipeline.set_pose(map_from_base, Covariance6::nan()).map_err(|error| error.to_string())?;
+            Change::SetPose(map_from_base, covariance) => {
+                pipeline.set_pose(map_from_base, *covariance).map_err(|error| error.to_string())?;
                 "map_from_base was set".to_owned()
+            }
+            Change::Tracking { time, gate, initializing_frames } => {
+                pipeline.set_tracking(time, gate, initializing_frames).map_err(|error| error.to_string())?;
+                "other tracking rules".to_owned()
             }
             Change::Swap(prepared) => {
                 let Prepared { model, identity } = *prepared;
@@ -254,7 +269,7 @@ impl Run {
                 "resumed".to_owned()
             }
         };
-        tracing::info!(done, "control");
+        tracing::debug!(done, "control");
         Ok(done)
     }
 

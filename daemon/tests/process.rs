@@ -215,22 +215,6 @@ fn a_second_daemon_of_the_same_name_is_refused_with_the_process_id() {
 }
 
 #[test]
-fn sighup_applies_the_log_level_and_names_the_rest() {
-    let rig = Rig::new(4);
-    let mut daemon = Daemon::start(&rig, &["--set", "source.loop=true"]);
-    daemon.wait_for_line("ready");
-    let changed = rig.config_text().replace("level = \"info\"", "level = \"debug\"");
-    rig.write("grnetd.toml", &(changed + "[tracking]\nlongest_gap_ms = 77\n"));
-    daemon.signal(Signal::HUP);
-    daemon.wait_for_line("sections=\"tracking\"");
-    rig.write("grnetd.toml", "[log]\nlevle = 1\n");
-    daemon.signal(Signal::HUP);
-    daemon.wait_for_line("unknown key `log.levle`");
-    daemon.signal(Signal::TERM);
-    assert_eq!(daemon.wait().code, 0);
-}
-
-#[test]
 fn control_requests_are_answered() {
     let rig = Rig::new(8);
     let _daemon =

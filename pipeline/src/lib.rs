@@ -199,6 +199,24 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Puts other rules in place for what comes: times, gate, and how long a start is INITIALIZING. Poses go on.
+    ///
+    /// # Errors
+    /// When a number is out of range; the old rules stay in place then.
+    pub fn set_tracking(
+        &mut self,
+        time: TimeOptions,
+        gate: Option<InnovationGate>,
+        initializing_frames: u32,
+    ) -> Result<(), OptionsError> {
+        let options = PipelineOptions { time, gate, initializing_frames, ..self.options.clone() };
+        options.validate()?;
+        self.time.set_options(time);
+        self.fuse.set_rules(gate, initializing_frames);
+        self.options = options;
+        Ok(())
+    }
+
     /// Puts another model in place between two frames: another scene on the same trunk leaves the odometry going,
     /// another trunk starts it anew. The map pose is forgotten, for it belongs to the scene that left.
     ///

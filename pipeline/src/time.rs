@@ -43,6 +43,11 @@ impl TimeRule {
         Self { options, last: None, refused: None }
     }
 
+    /// Other rules from the next frame on.
+    pub(crate) fn set_options(&mut self, options: TimeOptions) {
+        self.options = options;
+    }
+
     /// Judges a frame; a refusal is remembered, an admission only by [`TimeRule::accept`].
     pub(crate) fn judge(&mut self, sequence: u64, time: CaptureTime) -> Result<Arrival, StaleFrame> {
         let Some(last) = self.last else { return Ok(Arrival::First) };

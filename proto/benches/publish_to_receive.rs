@@ -13,6 +13,16 @@ use grnet_proto::{
     Subscription,
 };
 
+/// How the services are made: iceoryx2's own shared memory, and files where this build has them.
+const KINDS: &[(&str, AccessMode)] = &[
+    #[cfg(not(feature = "group-access"))]
+    ("ipc", AccessMode::User),
+    #[cfg(feature = "group-access")]
+    ("ipc", AccessMode::Everyone),
+    #[cfg(feature = "group-access")]
+    ("files", AccessMode::User),
+];
+
 /// Answers every ping with a pong until told to stop.
 const STOP: u64 = u64::MAX - 1;
 
@@ -39,18 +49,28 @@ fn polling_receive<M: Message>(subscription: &Subscription<M>) -> M {
     }
 }
 
+/// A folder on the file system of shared memory, where `/run` is one too.
+fn folder() -> tempfile::TempDir {
+    let own = std::os::unix::fs::PermissionsExt::from_mode(0o700);
+    tempfile::Builder::new().prefix("grnet").permissions(own).tempdir_in("/dev/shm").unwrap()
+}
+
 /// Half the time of `iterations` round trips between two cameras' pose streams.
-fn ping_pong(iterations: u64, receive: fn(&Subscription<PoseSample>) -> PoseSample) -> Duration {
-    let folder = tempfile::Builder::new().prefix("grnet").tempdir_in("/tmp").unwrap();
+fn ping_pong(
+    access: AccessMode,
+    iterations: u64,
+    receive: fn(&Subscription<PoseSample>) -> PoseSample,
+) -> Duration {
+    let folder = folder();
     let root = Root::own(folder.path(), Some("bench_")).unwrap();
     let (ping, pong): (CameraName, CameraName) = ("ping".parse().unwrap(), "pong".parse().unwrap());
-    let node = Node::open(AccessMode::User, &root, Role::Daemon).unwrap();
+    let node = Node::open(access, &root, Role::Daemon).unwrap();
     let mut pings = Publisher::<PoseSample>::open(&node, &ping).unwrap();
     std::thread::scope(|scope| {
         let (root, ping, pong) = (&root, &ping, &pong);
         let (ready, is_ready) = std::sync::mpsc::channel();
         scope.spawn(move || {
-            let node = Node::open(AccessMode::User, root, Role::Daemon).unwrap();
+            let node = Node::open(access, root, Role::Daemon).unwrap();
             let mut pongs = Publisher::<PoseSample>::open(&node, pong).unwrap();
             let pings = Subscription::open(&node, ping).unwrap();
             ready.send(()).unwrap();
@@ -101,12 +121,14 @@ fn publish_to_receive(criterion: &mut Criterion) {
     let size = size_of::<PoseSample>();
     let mut group = criterion.benchmark_group("publish_to_receive");
     group.throughput(Throughput::Elements(1));
-    group.bench_function(BenchmarkId::new("woken", size), |b| {
-        b.iter_custom(|n| ping_pong(n, blocking_receive))
-    });
-    group.bench_function(BenchmarkId::new("polling", size), |b| {
-        b.iter_custom(|n| ping_pong(n, polling_receive))
-    });
+    for (kind, access) in KINDS {
+        group.bench_function(BenchmarkId::new("woken", kind), |b| {
+            b.iter_custom(|n| ping_pong(*access, n, blocking_receive))
+        });
+        group.bench_function(BenchmarkId::new("polling", kind), |b| {
+            b.iter_custom(|n| ping_pong(*access, n, polling_receive))
+        });
+    }
     for size in [256, size] {
         group.bench_function(BenchmarkId::new("unix_datagram", size), |b| {
             b.iter_custom(|n| datagram_ping_pong(n, size));
@@ -117,21 +139,23 @@ fn publish_to_receive(criterion: &mut Criterion) {
 
 /// What publishing costs the daemon, with no and with all subscribers attached.
 fn publish(criterion: &mut Criterion) {
-    let folder = tempfile::Builder::new().prefix("grnet").tempdir_in("/tmp").unwrap();
-    let root = Root::own(folder.path(), Some("bench_")).unwrap();
-    let camera = CameraName::default();
-    let node = Node::open(AccessMode::User, &root, Role::Daemon).unwrap();
-    let mut publisher = Publisher::<PoseSample>::open(&node, &camera).unwrap();
-    let sample = sample();
     let mut group = criterion.benchmark_group("publish");
-    let mut subscriptions = Vec::new();
-    for subscribers in [0, 1, 16] {
-        while subscriptions.len() < subscribers {
-            subscriptions.push(Subscription::<PoseSample>::open(&node, &camera).unwrap());
+    for (kind, access) in KINDS {
+        let folder = folder();
+        let root = Root::own(folder.path(), Some("bench_")).unwrap();
+        let camera = CameraName::default();
+        let node = Node::open(*access, &root, Role::Daemon).unwrap();
+        let mut publisher = Publisher::<PoseSample>::open(&node, &camera).unwrap();
+        let sample = sample();
+        let mut subscriptions = Vec::new();
+        for subscribers in [0, 1, 16] {
+            while subscriptions.len() < subscribers {
+                subscriptions.push(Subscription::<PoseSample>::open(&node, &camera).unwrap());
+            }
+            group.bench_function(BenchmarkId::new(*kind, subscribers), |b| {
+                b.iter(|| publisher.publish(black_box(&sample)).unwrap());
+            });
         }
-        group.bench_function(BenchmarkId::new("subscribers", subscribers), |b| {
-            b.iter(|| publisher.publish(black_box(&sample)).unwrap());
-        });
     }
     group.finish();
 }

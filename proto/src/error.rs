@@ -39,6 +39,55 @@ pub enum TransportError {
         remedy: &'static str,
     },
 
+    /// The folder that decides who may take part is closed to this user.
+    #[error("{path} belongs to user {owner} and group {group} (mode {mode:04o}) and this program runs as user {user}, who may not {purpose}; {remedy}", path = .path.display())]
+    NotMember {
+        /// The folder.
+        path: PathBuf,
+        /// What was wanted.
+        purpose: &'static str,
+        /// Its owner, by name and number.
+        owner: String,
+        /// Its group, by name and number.
+        group: String,
+        /// Its permissions.
+        mode: u32,
+        /// This process's effective user, by name and number.
+        user: String,
+        /// What to do.
+        remedy: String,
+    },
+
+    /// A folder that decides who may take part is missing, or not as it must be.
+    #[error("{path} cannot decide who may take part: {found}, and it must be a folder of user {owner}, group {group}, mode {mode:04o}; `{remedy}`", path = .path.display())]
+    WrongFolder {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong.
+        found: String,
+        /// Who must own it.
+        owner: String,
+        /// Which group it must belong to.
+        group: String,
+        /// Which permissions it must have.
+        mode: u32,
+        /// The command that mends it.
+        remedy: String,
+    },
+
+    /// The daemon is there and shares in a way that this build of the client cannot join.
+    #[error("the grnetd of {service} under {root} shares with access = \"{access}\", which this build of the client cannot join: {reason}; use the client of the daemon's own package or build (feature `group-access`: {built})", root = .root.display(), built = built())]
+    OtherBuild {
+        /// The service.
+        service: String,
+        /// How the daemon shares.
+        access: &'static str,
+        /// Where it was found.
+        root: PathBuf,
+        /// What does not fit.
+        reason: String,
+    },
+
     /// The root folder of the transport cannot be used.
     #[error("cannot use {path} as the root of the shared-memory services: {problem}", path = .path.display())]
     UnusableRoot {
@@ -95,7 +144,9 @@ pub enum TransportError {
     },
 
     /// This build does not contain the access mode.
-    #[error("access = \"{mode}\" is not part of this build, which offers \"user\"; set access = \"user\"")]
+    #[error(
+        "access = \"{mode}\" is not part of this build, which offers \"user\"; set access = \"user\", or use the packaged build (feature `group-access`)"
+    )]
     AccessNotBuilt {
         /// The mode that was asked for.
         mode: &'static str,
@@ -126,4 +177,8 @@ impl TransportError {
     pub(crate) fn internal(attempt: &'static str, subject: &str, cause: impl core::fmt::Display) -> Self {
         Self::Internal { attempt, subject: subject.to_owned(), cause: cause.to_string() }
     }
+}
+
+fn built() -> &'static str {
+    if cfg!(feature = "group-access") { "this client has it" } else { "this client was built without it" }
 }

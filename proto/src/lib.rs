@@ -39,6 +39,8 @@
 pub mod access;
 pub mod clock;
 mod error;
+#[cfg(feature = "group-access")]
+mod files;
 pub mod message;
 pub mod names;
 mod node;
@@ -46,7 +48,7 @@ pub mod python;
 pub mod qos;
 mod service;
 
-pub use access::{AccessMode, Root};
+pub use access::{AccessMode, Group, Root};
 pub use error::TransportError;
 pub use message::{
     Access, BootId, CaptureClock, Command, ContentHash, ControlReply, ControlRequest, DaemonStatus,
@@ -63,3 +65,16 @@ pub use service::{
 
 /// Version of this package, as it stands in service attributes and status messages.
 pub const PACKAGE_VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Version of the transport. Services of another minor version cannot be read.
+pub const ICEORYX2_VERSION: &str = "0.10.0";
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_transport_is_the_one_that_is_named() {
+        let manifest = include_str!("../../Cargo.toml");
+        let pinned = format!("iceoryx2 = \"={}\"", super::ICEORYX2_VERSION);
+        assert!(manifest.lines().any(|line| line == pinned), "{pinned}");
+    }
+}

@@ -29,6 +29,7 @@ const ARROWS: &[(&str, &[&str])] = &[
         ],
     ),
     ("grnet-train", &["grnet-pipeline", "grnet-model", "grnet-capture", "grnet-geometry", "grnet-frame"]),
+    ("grnet-manual", &["grnetd", "grnet-client", "grnet-train", "grnet-config"]),
     ("grnet-tests", &[]),
 ];
 

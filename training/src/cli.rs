@@ -1,8 +1,8 @@
 //! Commands and their arguments.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
-use grnet_train::{check, evaluate, init, join, score, synth, train};
+use crate::{check, evaluate, init, join, score, split, synth, train};
 
 /// Trains and evaluates grnet's networks, and makes synthetic recordings to do so.
 #[derive(Debug, Parser)]
@@ -24,10 +24,19 @@ enum Command {
     Evaluate(evaluate::command::EvaluateArgs),
     Join(join::command::JoinArgs),
     Check(check::command::CheckArgs),
+    Split(split::SplitArgs),
+}
+
+/// The command line, for those who describe it.
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 impl Cli {
     /// Runs the chosen command.
+    ///
+    /// # Errors
+    /// Whatever ends it before it is done.
     pub fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Synth(args) => synth::command::run(&args),
@@ -44,6 +53,7 @@ impl Cli {
             Command::Evaluate(args) => evaluate::command::run(&args),
             Command::Join(args) => join::command::run(&args),
             Command::Check(args) => check::command::run(&args),
+            Command::Split(args) => split::run(&args),
         }
     }
 }

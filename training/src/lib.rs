@@ -4,6 +4,7 @@
 
 pub mod baselines;
 pub mod check;
+pub mod cli;
 pub mod data;
 pub mod dataset_args;
 pub mod evaluate;
@@ -14,5 +15,6 @@ pub mod loss;
 pub mod report;
 pub mod run;
 pub mod score;
+pub mod split;
 pub mod synth;
 pub mod train;

@@ -12,8 +12,10 @@ use signal_hook::{
     flag,
 };
 
+use super::control::{self, UsageError};
 use super::reference::ReferenceError;
 
+const USAGE: u8 = 2;
 const INTERNAL: u8 = 70;
 const BAD_FILE: u8 = 78;
 
@@ -36,13 +38,20 @@ pub fn code(result: anyhow::Result<()>) -> ExitCode {
     }
     // Standard error may be closed as well; the exit code still tells.
     let _ = writeln!(io::stderr(), "grnet-client: {error:#}");
-    let reference = error.is::<ReferenceError>().then_some(BAD_FILE);
-    ExitCode::from(reference.unwrap_or_else(|| error.downcast_ref().map_or(INTERNAL, client_code)))
+    ExitCode::from(if error.is::<ReferenceError>() {
+        BAD_FILE
+    } else if error.is::<UsageError>() {
+        USAGE
+    } else {
+        error.downcast_ref().map_or(INTERNAL, client_code)
+    })
 }
 
 fn client_code(error: &ClientError) -> u8 {
     match error {
         ClientError::NoDaemon(_) => 69,
+        ClientError::Refused(reply) => control::code(reply),
+        ClientError::TooLong(_) => USAGE,
         ClientError::Timeout { .. } | ClientError::TooManySubscribers(_) => 75,
         ClientError::PermissionDenied(_) => 77,
         ClientError::BadConfiguration(_) | ClientError::SchemaMismatch(_) => 78,

@@ -1,5 +1,6 @@
 //! The command's arguments, and what its subcommands share.
 
+mod control;
 mod exit;
 mod human;
 mod json;
@@ -12,12 +13,13 @@ mod tail;
 use std::{path::PathBuf, process::ExitCode, time::Duration};
 
 use anyhow::Context as _;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 use grnet_client::{CameraName, Connection, Root};
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done; 2 usage; 69 no daemon; 70 internal error; 75 timed out, or no place left, while a
-daemon is there; 77 no permission; 78 bad configuration or versions that do not fit.";
+Exit codes: 0 done; 2 usage, or a request that makes no sense to the daemon; 69 no daemon; 70 internal error; 75
+timed out, no place left, or a request refused for now, while a daemon is there; 77 no permission; 78 bad
+configuration, versions that do not fit, or a request that the daemon tried and that failed.";
 
 /// Watch the pose stream of grnetd and ask the daemon how it is.
 #[derive(Debug, Parser)]
@@ -52,6 +54,8 @@ enum Command {
     Tail(TailArgs),
     /// Print the daemon's state
     Status(StatusArgs),
+    /// Ask the daemon for something: another scene, a pose, a recording, a pause
+    Control(control::ControlArgs),
 }
 
 /// What `tail` prints, and how much of it.
@@ -136,15 +140,22 @@ pub enum Which {
     Network,
 }
 
+/// The command line, for those who describe it.
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 /// Runs the command that the arguments name.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let run = || {
         let connection = cli.connection.connection()?;
-        let stop = exit::stop_on_signals().context("cannot watch for signals")?;
+        let stop = || exit::stop_on_signals().context("cannot watch for signals");
         match &cli.command {
-            Command::Tail(args) => tail::run(&connection, args, &stop),
-            Command::Status(args) => status::run(&connection, args, &stop),
+            Command::Tail(args) => tail::run(&connection, args, &*stop()?),
+            Command::Status(args) => status::run(&connection, args, &*stop()?),
+            // An answer is waited for in one piece: a signal ends the process as it always does.
+            Command::Control(args) => control::run(&connection, args),
         }
     };
     exit::code(run())
@@ -177,8 +188,6 @@ fn seconds(text: &str) -> Result<Duration, String> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
     use super::*;
 
     #[test]

@@ -37,7 +37,8 @@ pub fn run(connection: &Connection, args: &StatusArgs, stop: &AtomicBool) -> any
     Ok(out.flush()?)
 }
 
-fn report(status: &DaemonStatus, colours: bool) -> String {
+/// The daemon's state in lines for people.
+pub fn report(status: &DaemonStatus, colours: bool) -> String {
     let style = if colours { health_style(status.health) } else { Style::new() };
     let mut text = String::new();
     let mut line = |name: &str, value: String| text.push_str(&format!("{name:<11}{value}\n"));

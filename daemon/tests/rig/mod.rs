@@ -1,4 +1,5 @@
 //! A folder with a small recording, an untrained network, a configuration and a transport root of its own.
+#![allow(dead_code)] // Every test binary uses another part.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::PathBuf;
@@ -164,7 +165,14 @@ impl Daemon {
     }
 
     pub fn start_with(rig: &Rig, arguments: &[&str], environment: &[(&str, String)]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_grnetd"))
+        Self::start_as(&[], rig, arguments, environment)
+    }
+
+    /// Started by another program, which the daemon then replaces.
+    pub fn start_as(wrapper: &[&str], rig: &Rig, arguments: &[&str], environment: &[(&str, String)]) -> Self {
+        let words: Vec<&str> = wrapper.iter().copied().chain([env!("CARGO_BIN_EXE_grnetd")]).collect();
+        let mut child = Command::new(words[0])
+            .args(&words[1..])
             .args(["run", "--config", &rig.config()])
             .args(arguments)
             .envs(environment.iter().map(|(name, value)| (name, value)))
@@ -192,14 +200,14 @@ impl Daemon {
         rustix::process::kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Waits until a line of the log contains `text`.
-    pub fn wait_for_line(&mut self, text: &str) {
+    /// Waits until a line of the log contains `text`, and gives it.
+    pub fn wait_for_line(&mut self, text: &str) -> String {
         loop {
             let line = self.lines.recv_timeout(PATIENCE);
             let line = line.unwrap_or_else(|_| panic!("no line with {text:?} in:\n{}", self.stderr));
             self.stderr += &format!("{line}\n");
             if line.contains(text) {
-                return;
+                return line;
             }
         }
     }

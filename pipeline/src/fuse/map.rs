@@ -58,6 +58,11 @@ impl MapTracker {
         Self { gate, anchor, last_measured: None, rejections: 0, agreements: 0, is_lost: false }
     }
 
+    /// Another gate from the next frame on.
+    pub(crate) fn set_gate(&mut self, gate: Option<InnovationGate>) {
+        self.gate = gate;
+    }
+
     /// Takes one frame: `previous_from_current` where the motion is known, `measured` where there is a scene.
     pub(crate) fn update(
         &mut self,

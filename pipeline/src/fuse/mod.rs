@@ -110,6 +110,12 @@ impl Fuse {
         self.map.forget();
     }
 
+    /// Other rules from the next frame on.
+    pub(crate) fn set_rules(&mut self, gate: Option<InnovationGate>, initializing_frames: u32) {
+        self.map.set_gate(gate);
+        self.initializing_frames = initializing_frames;
+    }
+
     pub(crate) fn reset_epoch(&self) -> u32 {
         self.reset_epoch
     }

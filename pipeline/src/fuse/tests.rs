@@ -477,3 +477,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn another_gate_holds_from_the_next_frame_on() {
+    let strict = InnovationGate { rejections_allowed: 100, ..InnovationGate::default() };
+    let mut feed = Feed::new(fuse_with(strict));
+    feed.poses(&relative(0), &world_from_camera(0));
+    let elsewhere = pose([50.0, 0.0, 0.0], [0.0; 3]) * world_from_camera(1);
+    let rejected = feed.poses(&relative(1), &elsewhere);
+    assert_eq!((rejected.status, rejected.reason), (Status::Degraded, Reason::InnovationRejected));
+    feed.fuse.set_rules(None, 1);
+    let elsewhere = pose([50.0, 0.0, 0.0], [0.0; 3]) * world_from_camera(2);
+    let taken = feed.poses(&relative(2), &elsewhere);
+    assert_eq!((taken.status, taken.reason, taken.reset_epoch), (Status::Tracking, Reason::None, 0));
+    assert_eq!(taken.map_from_base.pose, taken.network_map_from_base.pose);
+}

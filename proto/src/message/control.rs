@@ -19,8 +19,14 @@ wire_struct! {
         40 => map_from_base_quaternion_xyzw: [f64; 4],
         /// The name or path that the command needs; a path is the daemon's, absolute.
         72 => text: FixedText<1024>,
+        /// For [`Command::SET_POSE`]: standard deviation of the translation along each axis, metres; 0 when not
+        /// known.
+        1096 => translation_stddev_m: f64,
+        /// For [`Command::SET_POSE`]: standard deviation of the rotation about each axis, radians; 0 when not
+        /// known.
+        1104 => rotation_stddev_rad: f64,
         /// Zero; room for later fields of this version.
-        1096 => reserved: [u64; 7],
+        1112 => reserved: [u64; 5],
     }
 }
 
@@ -54,7 +60,9 @@ impl ControlRequest {
             map_from_base_translation_m: [f64::NAN; 3],
             map_from_base_quaternion_xyzw: [f64::NAN; 4],
             text: FixedText::EMPTY,
-            reserved: [0; 7],
+            translation_stddev_m: 0.0,
+            rotation_stddev_rad: 0.0,
+            reserved: [0; 5],
         }
     }
 
@@ -72,6 +80,11 @@ impl ControlRequest {
             map_from_base_quaternion_xyzw: quaternion_xyzw,
             ..Self::new(Command::SET_POSE)
         }
+    }
+
+    /// The same with how well that pose is known: what the network says has then to agree with it.
+    pub fn with_stddev(self, translation_stddev_m: f64, rotation_stddev_rad: f64) -> Self {
+        Self { translation_stddev_m, rotation_stddev_rad, ..self }
     }
 }
 

@@ -198,6 +198,13 @@ impl Status {
     }
 }
 
+impl Command {
+    /// Does it change what the daemon does? Such requests may belong to another group.
+    pub fn changes_state(self) -> bool {
+        !matches!(self, Self::NONE | Self::STATUS)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -29,6 +29,9 @@ pub trait Message: ZeroCopySend + Debug + Copy + sealed::Sealed + 'static {
     /// The type name with its version.
     const TYPE_NAME: &'static str;
 
+    /// Whoever publishes this is the daemon, and tells clients how it shares.
+    const ANNOUNCES: bool = false;
+
     /// The service that carries the message.
     fn service_name(camera: &CameraName) -> String;
 
@@ -45,6 +48,7 @@ mod sealed {
 
 impl Message for PoseSample {
     const TYPE_NAME: &'static str = Self::TYPE_NAME;
+    const ANNOUNCES: bool = true;
 
     fn service_name(camera: &CameraName) -> String {
         names::pose(camera)

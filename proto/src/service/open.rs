@@ -3,7 +3,7 @@
 use core::fmt::Debug;
 
 use iceoryx2::{
-    prelude::{MessagingPattern, Service, ipc},
+    prelude::{MessagingPattern, Service},
     service::{
         builder::{
             event::{EventCreateError, EventOpenError},
@@ -16,33 +16,40 @@ use iceoryx2::{
 
 use super::Message;
 use crate::{
-    Node, SCHEMA_VERSION, TransportError,
+    ICEORYX2_VERSION, Node, SCHEMA_VERSION, TransportError,
+    access::Storage,
     names::service_name,
-    node::{Attempt, retry},
+    node::{Attempt, On, retry},
     qos,
 };
 
 /// The publish-subscribe service that carries `M`.
-pub(super) type Stream<M> = publish_subscribe::PortFactory<ipc::Service, M, ()>;
+pub(super) type Stream<S, M> = publish_subscribe::PortFactory<S, M, ()>;
 /// The event service of the same name.
-pub(super) type Events = event::PortFactory<ipc::Service>;
+pub(super) type Events<S> = event::PortFactory<S>;
 
 /// Opens the stream for a client: it must exist.
-pub(super) fn open_stream<M: Message>(node: &Node, service: &str) -> Result<Stream<M>, TransportError> {
+pub(super) fn open_stream<S: Service, M: Message>(
+    on: &On<'_, S>,
+    service: &str,
+) -> Result<Stream<S, M>, TransportError> {
     retry("open", service, || {
-        node.iox()
+        on.iox
             .service_builder(&service_name(service))
             .publish_subscribe::<M>()
             .open()
-            .map_err(|error| stream_open_attempt::<M>(node, service, error))
+            .map_err(|error| stream_open_attempt::<S, M>(on, service, error))
     })
 }
 
 /// Opens or creates the stream for the daemon.
-pub(super) fn create_stream<M: Message>(node: &Node, service: &str) -> Result<Stream<M>, TransportError> {
+pub(super) fn create_stream<S: Service, M: Message>(
+    on: &On<'_, S>,
+    service: &str,
+) -> Result<Stream<S, M>, TransportError> {
     retry("create", service, || {
         let builder = || {
-            node.iox()
+            on.iox
                 .service_builder(&service_name(service))
                 .publish_subscribe::<M>()
                 .history_size(qos::HISTORY)
@@ -56,32 +63,34 @@ pub(super) fn create_stream<M: Message>(node: &Node, service: &str) -> Result<St
         match builder().open() {
             Ok(stream) => Ok(stream),
             Err(PublishSubscribeOpenError::DoesNotExist) => builder()
-                .create_with_attributes(&qos::attributes(node.access()))
+                .create_with_attributes(&qos::attributes(on.node.access()))
                 .map_err(|error| match error {
-                    PublishSubscribeCreateError::InsufficientPermissions => permission_attempt(node, error),
+                    PublishSubscribeCreateError::InsufficientPermissions => {
+                        permission_attempt(on.node, error)
+                    }
                     _ => Attempt::Again(error.to_string()),
                 }),
-            Err(error) => Err(stream_open_attempt::<M>(node, service, error)),
+            Err(error) => Err(stream_open_attempt::<S, M>(on, service, error)),
         }
     })
 }
 
 /// Opens the event service for a client.
-pub(super) fn open_events(node: &Node, service: &str) -> Result<Events, TransportError> {
+pub(super) fn open_events<S: Service>(on: &On<'_, S>, service: &str) -> Result<Events<S>, TransportError> {
     retry("open the events of", service, || {
-        node.iox()
+        on.iox
             .service_builder(&service_name(service))
             .event()
             .open()
-            .map_err(|error| event_open_attempt(node, service, error))
+            .map_err(|error| event_open_attempt(on, service, error))
     })
 }
 
 /// Opens or creates the event service for the daemon.
-pub(super) fn create_events(node: &Node, service: &str) -> Result<Events, TransportError> {
+pub(super) fn create_events<S: Service>(on: &On<'_, S>, service: &str) -> Result<Events<S>, TransportError> {
     retry("create the events of", service, || {
         let builder = || {
-            node.iox()
+            on.iox
                 .service_builder(&service_name(service))
                 .event()
                 .max_listeners(qos::MAX_LISTENERS)
@@ -96,12 +105,12 @@ pub(super) fn create_events(node: &Node, service: &str) -> Result<Events, Transp
                 .notifier_created_event(qos::event(qos::EVENT_ATTACHED))
                 .notifier_dropped_event(qos::event(qos::EVENT_DETACHED))
                 .notifier_dead_event(qos::event(qos::EVENT_DEAD))
-                .create_with_attributes(&qos::attributes(node.access()))
+                .create_with_attributes(&qos::attributes(on.node.access()))
                 .map_err(|error| match error {
-                    EventCreateError::InsufficientPermissions => permission_attempt(node, error),
+                    EventCreateError::InsufficientPermissions => permission_attempt(on.node, error),
                     _ => Attempt::Again(error.to_string()),
                 }),
-            Err(error) => Err(event_open_attempt(node, service, error)),
+            Err(error) => Err(event_open_attempt(on, service, error)),
         }
     })
 }
@@ -112,13 +121,13 @@ pub(super) fn no_daemon(node: &Node, service: &str) -> TransportError {
 }
 
 /// The service is of another version; says which.
-pub(super) fn schema_mismatch(
-    node: &Node,
+pub(super) fn schema_mismatch<S: Service>(
+    on: &On<'_, S>,
     service: &str,
     pattern: MessagingPattern,
     expected: &[(&str, usize)],
 ) -> TransportError {
-    let found = match ipc::Service::details(&service_name(service), node.root().config(), pattern) {
+    let found = match S::details(&service_name(service), on.config, pattern) {
         Ok(Some(details)) => {
             let attributes = details.static_details.attributes();
             let attribute = |key: &str| {
@@ -145,14 +154,14 @@ pub(super) fn schema_mismatch(
             )
         }
         Ok(None) => "a service that has just ended".to_owned(),
-        Err(error) => format!("a service that iceoryx2 0.10 cannot read ({error})"),
+        Err(error) => format!("a service that iceoryx2 {ICEORYX2_VERSION} cannot read ({error})"),
     };
     let expected = expected.iter().map(|(name, size)| ((*name).to_owned(), *size));
     TransportError::SchemaMismatch {
         service: service.to_owned(),
         found,
         expected: format!(
-            "{} (schema {SCHEMA_VERSION}, grnet {}, iceoryx2 0.10)",
+            "{} (schema {SCHEMA_VERSION}, grnet {}, iceoryx2 {ICEORYX2_VERSION})",
             describe(expected),
             crate::PACKAGE_VERSION
         ),
@@ -161,8 +170,13 @@ pub(super) fn schema_mismatch(
 
 /// The process lacks a right; says on what if the root tells.
 pub(super) fn permission_attempt(node: &Node, error: impl Debug) -> Attempt {
-    Attempt::Failed(node.root().foreign_owner().unwrap_or_else(|| TransportError::UnusableRoot {
-        path: node.root().path(),
+    let root = node.root();
+    let foreign = match root.storage(node.access()) {
+        Storage::SharedMemory => root.foreign_owner(),
+        Storage::Files => None,
+    };
+    Attempt::Failed(foreign.unwrap_or_else(|| TransportError::UnusableRoot {
+        path: root.path(),
         problem: format!(
             "this user lacks the right to use the service files there ({error:?}); run as the daemon's user"
         ),
@@ -173,12 +187,16 @@ fn describe(types: impl Iterator<Item = (String, usize)>) -> String {
     types.map(|(name, size)| format!("{name} of {size} bytes")).collect::<Vec<_>>().join(" and ")
 }
 
-fn stream_open_attempt<M: Message>(node: &Node, service: &str, error: PublishSubscribeOpenError) -> Attempt {
+fn stream_open_attempt<S: Service, M: Message>(
+    on: &On<'_, S>,
+    service: &str,
+    error: PublishSubscribeOpenError,
+) -> Attempt {
     use PublishSubscribeOpenError as E;
     Attempt::Failed(match error {
-        E::DoesNotExist => no_daemon(node, service),
+        E::DoesNotExist => no_daemon(on.node, service),
         E::IncompatibleTypes | E::IncompatibleAttributes | E::VersionMismatch => schema_mismatch(
-            node,
+            on,
             service,
             MessagingPattern::PublishSubscribe,
             &[(M::TYPE_NAME, size_of::<M>())],
@@ -186,7 +204,7 @@ fn stream_open_attempt<M: Message>(node: &Node, service: &str, error: PublishSub
         E::ExceedsMaxNumberOfNodes => {
             TransportError::TooManySubscribers { service: service.to_owned(), max: qos::MAX_SUBSCRIBERS }
         }
-        E::InsufficientPermissions => return permission_attempt(node, error),
+        E::InsufficientPermissions => return permission_attempt(on.node, error),
         E::IncompatibleMessagingPattern
         | E::DoesNotSupportRequestedMinBufferSize
         | E::DoesNotSupportRequestedMinHistorySize
@@ -201,17 +219,17 @@ fn stream_open_attempt<M: Message>(node: &Node, service: &str, error: PublishSub
     })
 }
 
-fn event_open_attempt(node: &Node, service: &str, error: EventOpenError) -> Attempt {
+fn event_open_attempt<S: Service>(on: &On<'_, S>, service: &str, error: EventOpenError) -> Attempt {
     use EventOpenError as E;
     Attempt::Failed(match error {
-        E::DoesNotExist => no_daemon(node, service),
+        E::DoesNotExist => no_daemon(on.node, service),
         E::IncompatibleAttributes | E::VersionMismatch => {
-            schema_mismatch(node, service, MessagingPattern::Event, &[])
+            schema_mismatch(on, service, MessagingPattern::Event, &[])
         }
         E::ExceedsMaxNumberOfNodes => {
             TransportError::TooManySubscribers { service: service.to_owned(), max: qos::MAX_SUBSCRIBERS }
         }
-        E::InsufficientPermissions => return permission_attempt(node, error),
+        E::InsufficientPermissions => return permission_attempt(on.node, error),
         E::IncompatibleMessagingPattern
         | E::DoesNotSupportRequestedAmountOfNotifiers
         | E::DoesNotSupportRequestedAmountOfListeners

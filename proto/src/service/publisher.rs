@@ -1,6 +1,9 @@
 //! The daemon's side of a stream.
 
-use core::sync::atomic::{AtomicU64, Ordering};
+use core::{
+    fmt::Debug,
+    sync::atomic::{AtomicU64, Ordering},
+};
 use std::sync::Arc;
 
 use iceoryx2::{
@@ -8,9 +11,9 @@ use iceoryx2::{
         DegradationAction, SendError,
         notifier::{Notifier, NotifierNotifyError},
         publisher::{Publisher as IoxPublisher, PublisherCreateError},
-        update_connections::UpdateConnections as _,
+        update_connections::{ConnectionFailure, UpdateConnections as _},
     },
-    prelude::{EventActivation, ipc},
+    prelude::{EventActivation, PortFactory as _, Service},
 };
 
 use super::{
@@ -19,8 +22,8 @@ use super::{
 };
 use crate::{
     CameraName, Node, TransportError,
-    access::require_shared_memory,
-    node::{Attempt, retry},
+    access::Announcement,
+    node::{Attempt, On, on_variant, retry},
     qos,
 };
 
@@ -39,11 +42,9 @@ pub struct Delivered {
 /// to do, because clients that attach, detach or die can cost a publication tens of milliseconds.
 #[derive(Debug)]
 pub struct Publisher<M: Message> {
-    // Ports before the services they belong to: fields are dropped in this order.
-    notifier: Notifier<ipc::Service>,
-    publisher: IoxPublisher<ipc::Service, M, ()>,
-    stream: Stream<M>,
-    _events: Events,
+    // What tells of the daemon goes before what it tells of: fields are dropped in this order.
+    _announcement: Option<Announcement>,
+    ports: Box<dyn Ports<M>>,
     service: String,
     published: u64,
     failed_connections: Arc<AtomicU64>,
@@ -51,7 +52,7 @@ pub struct Publisher<M: Message> {
 
 impl<M: Message> Publisher<M> {
     /// Creates the services of the stream, or takes over those that attached clients kept alive over
-    /// a restart of the daemon.
+    /// a restart of the daemon. The publisher of poses announces the daemon to its clients.
     ///
     /// # Errors
     /// [`TransportError::AlreadyPublished`], [`TransportError::NoSpace`],
@@ -59,17 +60,12 @@ impl<M: Message> Publisher<M> {
     /// [`TransportError::Incompatible`], [`TransportError::PermissionDenied`].
     pub fn open(node: &Node, camera: &CameraName) -> Result<Self, TransportError> {
         let service = M::service_name(camera);
-        require_shared_memory(qos::shared_memory_needed_bytes())?;
-        let stream = create_stream::<M>(node, &service)?;
-        let events = create_events(node, &service)?;
+        node.root().require_space(node.access(), qos::shared_memory_needed_bytes())?;
         let failed_connections = Arc::new(AtomicU64::new(0));
-        let publisher = open_publisher(node, &stream, &service, &failed_connections)?;
-        let notifier = events
-            .notifier_builder()
-            .default_event_id(qos::event(qos::EVENT_MESSAGE))
-            .create()
-            .map_err(|error| TransportError::internal("create the notifier of", &service, error))?;
-        Ok(Self { notifier, publisher, stream, _events: events, service, published: 0, failed_connections })
+        let ports = on_variant!(node, on => open::<_, M>(on, &service, &failed_connections)?);
+        node.protect_payload(&node.root().path())?;
+        let announcement = M::ANNOUNCES.then(|| Announcement::publish(node, camera)).transpose()?;
+        Ok(Self { _announcement: announcement, ports, service, published: 0, failed_connections })
     }
 
     /// Publishes the message with its schema version and number stamped, and wakes the subscribers.
@@ -81,11 +77,7 @@ impl<M: Message> Publisher<M> {
         let sample = self.published + 1;
         let mut message = *message;
         message.stamp(sample);
-        let slot = self
-            .publisher
-            .loan_uninit()
-            .map_err(|error| TransportError::internal("publish on", &self.service, error))?;
-        let subscribers = match slot.write_payload(message).send() {
+        let subscribers = match self.ports.send(message) {
             Ok(subscribers) => subscribers,
             // The message is out; what failed is the connection to somebody who just left.
             Err(SendError::UnableToDeliver | SendError::ConnectionError(_)) => {
@@ -104,14 +96,7 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// [`TransportError::Internal`] when the event service is corrupt.
     pub fn notify(&self) -> Result<(), TransportError> {
-        match self.notifier.notify() {
-            // Both come after the notification was delivered.
-            Ok(_)
-            | Err(NotifierNotifyError::MissedDeadline | NotifierNotifyError::UnableToAcquireElapsedTime) => {
-                Ok(())
-            }
-            Err(error) => Err(TransportError::internal("notify", &self.service, error)),
-        }
+        self.ports.notify(&self.service)
     }
 
     /// Gives subscribers that have just attached the last message. Publishing does it too; call this
@@ -120,15 +105,14 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// [`TransportError::Internal`] when a connection cannot be made.
     pub fn update_connections(&self) -> Result<(), TransportError> {
-        self.publisher
+        self.ports
             .update_connections()
             .map_err(|error| TransportError::internal("connect the subscribers of", &self.service, error))
     }
 
     /// Subscribers that are attached now.
     pub fn subscribers(&self) -> usize {
-        use iceoryx2::prelude::PortFactory as _;
-        self.stream.dynamic_config().number_of_subscribers()
+        self.ports.subscribers()
     }
 
     /// Connections to subscribers that failed: they belong to another user or died half attached.
@@ -142,12 +126,63 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-fn open_publisher<M: Message>(
-    node: &Node,
-    stream: &Stream<M>,
+/// The ports of a publisher, whatever the services are made of.
+trait Ports<M>: Debug {
+    fn send(&self, message: M) -> Result<usize, SendError>;
+    fn notify(&self, service: &str) -> Result<(), TransportError>;
+    fn update_connections(&self) -> Result<(), ConnectionFailure>;
+    fn subscribers(&self) -> usize;
+}
+
+#[derive(Debug)]
+struct PortsOn<S: Service, M: Message> {
+    // Ports before the services they belong to: fields are dropped in this order.
+    notifier: Notifier<S>,
+    publisher: IoxPublisher<S, M, ()>,
+    stream: Stream<S, M>,
+    _events: Events<S>,
+}
+
+impl<S: Service, M: Message> Ports<M> for PortsOn<S, M> {
+    fn send(&self, message: M) -> Result<usize, SendError> {
+        self.publisher.loan_uninit()?.write_payload(message).send()
+    }
+
+    fn notify(&self, service: &str) -> Result<(), TransportError> {
+        notify(&self.notifier, service)
+    }
+
+    fn update_connections(&self) -> Result<(), ConnectionFailure> {
+        self.publisher.update_connections()
+    }
+
+    fn subscribers(&self) -> usize {
+        self.stream.dynamic_config().number_of_subscribers()
+    }
+}
+
+fn open<S: Service + 'static, M: Message>(
+    on: &On<'_, S>,
     service: &str,
     failed_connections: &Arc<AtomicU64>,
-) -> Result<IoxPublisher<ipc::Service, M, ()>, TransportError> {
+) -> Result<Box<dyn Ports<M>>, TransportError> {
+    let stream = create_stream::<S, M>(on, service)?;
+    let events = create_events(on, service)?;
+    let publisher = open_publisher(on.node, &stream, service, failed_connections)?;
+    let notifier = events
+        .notifier_builder()
+        .default_event_id(qos::event(qos::EVENT_MESSAGE))
+        .create()
+        .map_err(|error| TransportError::internal("create the notifier of", service, error))?;
+    Ok(Box::new(PortsOn { notifier, publisher, stream, _events: events }))
+}
+
+fn open_publisher<S: Service, M: Message>(
+    node: &Node,
+    stream: &Stream<S, M>,
+    service: &str,
+    failed_connections: &Arc<AtomicU64>,
+) -> Result<IoxPublisher<S, M, ()>, TransportError> {
     let mut cleaned = false;
     retry("create the publisher of", service, || {
         let failed_connections = Arc::clone(failed_connections);
@@ -172,6 +207,16 @@ fn open_publisher<M: Message>(
             _ => Attempt::Again(error.to_string()),
         })
     })
+}
+
+/// Wakes whoever waits on the events of `service`.
+pub(super) fn notify<S: Service>(notifier: &Notifier<S>, service: &str) -> Result<(), TransportError> {
+    use NotifierNotifyError as E;
+    match notifier.notify() {
+        // Both come after the notification was delivered.
+        Ok(_) | Err(E::MissedDeadline | E::UnableToAcquireElapsedTime) => Ok(()),
+        Err(error) => Err(TransportError::internal("notify", service, error)),
+    }
 }
 
 /// Nobody looks at which event it was: all of them mean "look again".

@@ -1,6 +1,9 @@
 //! A client's side of a stream.
 
-use core::sync::atomic::{AtomicU64, Ordering};
+use core::{
+    fmt::Debug,
+    sync::atomic::{AtomicU64, Ordering},
+};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -12,7 +15,7 @@ use iceoryx2::{
         listener::{Listener, ListenerCreateError},
         subscriber::{Subscriber, SubscriberCreateError},
     },
-    prelude::{PortFactory as _, ipc},
+    prelude::{PortFactory as _, Service},
 };
 
 use super::{
@@ -22,7 +25,7 @@ use super::{
 };
 use crate::{
     CameraName, Node, TransportError,
-    node::{Attempt, retry},
+    node::{Attempt, On, on_variant, retry},
     qos,
 };
 
@@ -32,11 +35,7 @@ use crate::{
 /// Neither `Send` nor `Sync`: open it on the thread that receives.
 #[derive(Debug)]
 pub struct Subscription<M: Message> {
-    // Ports before the services they belong to: fields are dropped in this order.
-    listener: Listener<ipc::Service>,
-    subscriber: Subscriber<ipc::Service, M, ()>,
-    stream: Stream<M>,
-    _events: Events,
+    ports: Box<dyn Ports<M>>,
     service: String,
     failed_connections: Arc<AtomicU64>,
 }
@@ -49,21 +48,9 @@ impl<M: Message> Subscription<M> {
     /// [`TransportError::SchemaMismatch`], [`TransportError::PermissionDenied`].
     pub fn open(node: &Node, camera: &CameraName) -> Result<Self, TransportError> {
         let service = M::service_name(camera);
-        let stream = open_stream::<M>(node, &service)?;
-        if stream.dynamic_config().number_of_publishers() == 0 {
-            // Only other clients keep the service alive.
-            return Err(no_daemon(node, &service));
-        }
-        let events = open_events(node, &service)?;
         let failed_connections = Arc::new(AtomicU64::new(0));
-        let subscriber = open_subscriber(node, &stream, &service, &failed_connections)?;
-        let listener = events.listener_builder().create().map_err(|error| match error {
-            ListenerCreateError::ExceedsMaxSupportedListeners => {
-                TransportError::TooManySubscribers { service: service.clone(), max: qos::MAX_LISTENERS }
-            }
-            _ => TransportError::internal("create the listener of", &service, error),
-        })?;
-        Ok(Self { listener, subscriber, stream, _events: events, service, failed_connections })
+        let ports = on_variant!(node, on => open::<_, M>(on, &service, &failed_connections)?);
+        Ok(Self { ports, service, failed_connections })
     }
 
     /// The oldest message that was not received yet, `None` when there is none. It is a copy: what
@@ -72,8 +59,8 @@ impl<M: Message> Subscription<M> {
     /// # Errors
     /// [`TransportError::Internal`] when shared memory is corrupt.
     pub fn receive(&self) -> Result<Option<M>, TransportError> {
-        match self.subscriber.receive() {
-            Ok(sample) => Ok(sample.map(|sample| *sample.payload())),
+        match self.ports.receive() {
+            Ok(sample) => Ok(sample),
             // The publisher died while it was connecting; its successor will connect.
             Err(ReceiveError::ConnectionFailure(_)) => {
                 self.failed_connections.fetch_add(1, Ordering::Relaxed);
@@ -89,13 +76,13 @@ impl<M: Message> Subscription<M> {
     /// # Errors
     /// [`TransportError::Internal`] when the event service is corrupt.
     pub fn wait(&self, timeout: Duration) -> Result<bool, TransportError> {
-        wait(&self.listener, &self.service, timeout)
+        self.ports.wait(&self.service, timeout)
     }
 
     /// Is there a daemon? One that was killed counts until somebody cleaned up: see
     /// [`Node::cleanup_dead_nodes`].
     pub fn has_publisher(&self) -> bool {
-        self.stream.dynamic_config().number_of_publishers() > 0
+        self.ports.publishers() > 0
     }
 
     /// Connections to publishers that failed.
@@ -109,9 +96,60 @@ impl<M: Message> Subscription<M> {
     }
 }
 
+/// The ports of a subscription, whatever the services are made of.
+trait Ports<M>: Debug {
+    fn receive(&self) -> Result<Option<M>, ReceiveError>;
+    fn wait(&self, service: &str, timeout: Duration) -> Result<bool, TransportError>;
+    fn publishers(&self) -> usize;
+}
+
+#[derive(Debug)]
+struct PortsOn<S: Service, M: Message> {
+    // Ports before the services they belong to: fields are dropped in this order.
+    listener: Listener<S>,
+    subscriber: Subscriber<S, M, ()>,
+    stream: Stream<S, M>,
+    _events: Events<S>,
+}
+
+impl<S: Service, M: Message> Ports<M> for PortsOn<S, M> {
+    fn receive(&self) -> Result<Option<M>, ReceiveError> {
+        Ok(self.subscriber.receive()?.map(|sample| *sample.payload()))
+    }
+
+    fn wait(&self, service: &str, timeout: Duration) -> Result<bool, TransportError> {
+        wait(&self.listener, service, timeout)
+    }
+
+    fn publishers(&self) -> usize {
+        self.stream.dynamic_config().number_of_publishers()
+    }
+}
+
+fn open<S: Service + 'static, M: Message>(
+    on: &On<'_, S>,
+    service: &str,
+    failed_connections: &Arc<AtomicU64>,
+) -> Result<Box<dyn Ports<M>>, TransportError> {
+    let stream = open_stream::<S, M>(on, service)?;
+    if stream.dynamic_config().number_of_publishers() == 0 {
+        // Only other clients keep the service alive.
+        return Err(no_daemon(on.node, service));
+    }
+    let events = open_events(on, service)?;
+    let subscriber = open_subscriber(on.node, &stream, service, failed_connections)?;
+    let listener = events.listener_builder().create().map_err(|error| match error {
+        ListenerCreateError::ExceedsMaxSupportedListeners => {
+            TransportError::TooManySubscribers { service: service.to_owned(), max: qos::MAX_LISTENERS }
+        }
+        _ => TransportError::internal("create the listener of", service, error),
+    })?;
+    Ok(Box::new(PortsOn { listener, subscriber, stream, _events: events }))
+}
+
 /// Waits for any event; a signal (`SIGCONT` and the like) does not end the wait early.
-pub(super) fn wait(
-    listener: &Listener<ipc::Service>,
+pub(super) fn wait<S: Service>(
+    listener: &Listener<S>,
     service: &str,
     timeout: Duration,
 ) -> Result<bool, TransportError> {
@@ -137,12 +175,12 @@ pub(super) fn wait(
     }
 }
 
-fn open_subscriber<M: Message>(
+fn open_subscriber<S: Service, M: Message>(
     node: &Node,
-    stream: &Stream<M>,
+    stream: &Stream<S, M>,
     service: &str,
     failed_connections: &Arc<AtomicU64>,
-) -> Result<Subscriber<ipc::Service, M, ()>, TransportError> {
+) -> Result<Subscriber<S, M, ()>, TransportError> {
     let mut cleaned = false;
     retry("create the subscriber of", service, || {
         let failed_connections = Arc::clone(failed_connections);

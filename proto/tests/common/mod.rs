@@ -15,7 +15,9 @@ pub struct Rig {
 
 impl Rig {
     pub fn new() -> Self {
-        let folder = tempfile::Builder::new().prefix("grnet").tempdir_in("/tmp").unwrap();
+        // As a folder of one user's own must be where files are the services.
+        let own = std::os::unix::fs::PermissionsExt::from_mode(0o700);
+        let folder = tempfile::Builder::new().prefix("grnet").permissions(own).tempdir_in("/tmp").unwrap();
         let path = folder.path().to_owned();
         Self {
             root: root(&path),

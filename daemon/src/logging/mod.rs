@@ -1,10 +1,13 @@
-//! What goes to stderr, and how it looks.
+//! What goes to stderr or to the journal, and how it looks.
+
+mod journal;
 
 use std::fmt;
 use std::io::IsTerminal as _;
+use std::path::Path;
 
 use grnet_config::{LogConfig, LogFormat};
-use tracing::{Event, Level, Subscriber};
+use tracing::{Event, Subscriber};
 use tracing_subscriber::fmt::format::{Format, Writer};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::layer::SubscriberExt as _;
@@ -20,22 +23,23 @@ pub struct LogHandle {
     filter: reload::Handle<EnvFilter, Registry>,
 }
 
-/// Starts logging to stderr; once per process.
+/// Starts logging; once per process.
 ///
 /// # Errors
 /// When logging was started before, or the level is no filter.
 pub fn start(config: &LogConfig) -> Result<LogHandle, Failure> {
     let (filter, handle) = reload::Layer::new(filter(&config.level)?);
     let human = || layer::layer().with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
-    let lines = match format(config.format) {
-        LogFormat::Json => {
+    let lines = match (format(config.format), journal()) {
+        (LogFormat::Journald, Some(journal)) => journal.with_filter(filter).boxed(),
+        (LogFormat::Json, _) => {
             layer::layer().json().flatten_event(true).with_writer(std::io::stderr).with_filter(filter).boxed()
         }
-        LogFormat::Journald => {
-            let journal = Journal(Format::default().without_time().with_level(false).with_ansi(false));
+        (LogFormat::Journald, None) => {
+            let journal = Lines(Format::default().without_time().with_level(false).with_ansi(false));
             human().with_ansi(false).event_format(journal).with_filter(filter).boxed()
         }
-        LogFormat::Auto | LogFormat::Human => human().with_filter(filter).boxed(),
+        (LogFormat::Auto | LogFormat::Human, _) => human().with_filter(filter).boxed(),
     };
     tracing_subscriber::registry()
         .with(lines)
@@ -71,6 +75,12 @@ fn format(configured: LogFormat) -> LogFormat {
     }
 }
 
+/// The journal in its own protocol, when it would get stderr anyhow.
+fn journal() -> Option<journal::Journal> {
+    // Without its socket it still reads stderr.
+    journal_reads_stderr().then(|| journal::Journal::open(Path::new(journal::SOCKET)).ok())?
+}
+
 /// systemd names the device and inode of the journal's socket; stderr may have been redirected since.
 fn journal_reads_stderr() -> bool {
     let Ok(stream) = std::env::var("JOURNAL_STREAM") else { return false };
@@ -78,10 +88,10 @@ fn journal_reads_stderr() -> bool {
     stream == format!("{}:{}", stat.st_dev, stat.st_ino)
 }
 
-/// Lines for the journal: the priority as `<6>` (sd-daemon(3)), no time, no level.
-struct Journal(Format<layer::format::Full, ()>);
+/// Lines for whatever passes stderr on to the journal: the priority as `<6>` (sd-daemon(3)), no time, no level.
+struct Lines(Format<layer::format::Full, ()>);
 
-impl<S, N> FormatEvent<S, N> for Journal
+impl<S, N> FormatEvent<S, N> for Lines
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,
@@ -92,13 +102,7 @@ where
         mut writer: Writer<'_>,
         event: &Event<'_>,
     ) -> fmt::Result {
-        let priority = match *event.metadata().level() {
-            Level::ERROR => 3,
-            Level::WARN => 4,
-            Level::INFO => 6,
-            Level::DEBUG | Level::TRACE => 7,
-        };
-        write!(writer, "<{priority}>")?;
+        write!(writer, "<{}>", journal::priority(event.metadata().level()))?;
         self.0.format_event(context, writer, event)
     }
 }
@@ -111,9 +115,9 @@ mod tests {
     use super::*;
 
     #[derive(Clone, Default)]
-    struct Lines(Arc<Mutex<Vec<u8>>>);
+    struct Written(Arc<Mutex<Vec<u8>>>);
 
-    impl io::Write for Lines {
+    impl io::Write for Written {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             self.0.lock().unwrap().extend_from_slice(bytes);
             Ok(bytes.len())
@@ -125,9 +129,9 @@ mod tests {
 
     #[test]
     fn the_journal_gets_priorities_and_no_time() {
-        let lines = Lines::default();
+        let lines = Written::default();
         let writer = lines.clone();
-        let journal = Journal(Format::default().without_time().with_level(false).with_ansi(false));
+        let journal = Lines(Format::default().without_time().with_level(false).with_ansi(false));
         let layer = layer::layer().with_ansi(false).event_format(journal).with_writer(move || writer.clone());
         tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
             tracing::warn!(frames = 3, "dropped");
