@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use grnet_config::{GrnetdConfig, Override};
+use grnet_config::Override;
 
 use crate::failure::Failure;
 use crate::run::Loaded;
-use crate::{check, devices, logging, run, supervisor};
+use crate::{check, devices, logging, run, setup, supervisor};
 
 /// Camera frames in, poses in shared memory out.
 #[derive(Debug, Parser)]
@@ -104,8 +104,8 @@ impl Configuration {
             .map(|text| Override::parse(text))
             .collect::<Result<_, _>>()
             .map_err(Failure::config)?;
-        let config = GrnetdConfig::load(&self.config, &overrides).map_err(Failure::config)?;
-        Ok(Loaded { config, path: self.config.clone(), overrides, record: None })
+        let (config, notes) = setup::load_config(&self.config, &overrides)?;
+        Ok(Loaded { config, path: self.config.clone(), overrides, record: None, notes })
     }
 }
 

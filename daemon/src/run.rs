@@ -17,7 +17,7 @@ use crate::publish::{self, Publish};
 use crate::record::{self, Record, Recorder};
 use crate::scenes::SceneLibrary;
 use crate::service_manager::ServiceManager;
-use crate::setup::Parts;
+use crate::setup::{self, Parts};
 use crate::signals::{Request, SignalThread};
 use crate::slot::{WhenFull, slot};
 use crate::state::{Identity, State};
@@ -38,6 +38,8 @@ pub struct Loaded {
     pub overrides: Vec<Override>,
     /// Record into this folder from the first frame on.
     pub record: Option<PathBuf>,
+    /// What a user should know about the calibration.
+    pub notes: Vec<String>,
 }
 
 /// Runs until the recording ends, a signal comes or something fails.
@@ -51,6 +53,9 @@ pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
     manager.status("loading the model");
     let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };
     parts.log();
+    for note in &loaded.notes {
+        tracing::info!(note, "source");
+    }
     let state = Arc::new(parts.state()?);
     // The last thing that a bad configuration can get wrong: it leaves no empty folder behind.
     let recorder = Recorder::new(&loaded.config, &state.identity);
@@ -223,9 +228,9 @@ impl Parts {
 /// SIGHUP: the log level is applied, everything else is named; a configuration that cannot be used changes nothing.
 fn reload(loaded: &Loaded, manager: &ServiceManager, log: &LogHandle) {
     manager.reloading();
-    match GrnetdConfig::load(&loaded.path, &loaded.overrides) {
-        Err(error) => tracing::warn!(%error, "the configuration was not reloaded"),
-        Ok(new) => {
+    match setup::load_config(&loaded.path, &loaded.overrides) {
+        Err(failure) => tracing::warn!(error = failure.chain(), "the configuration was not reloaded"),
+        Ok((new, _)) => {
             let old = &loaded.config;
             match log.set_level(&new.log.level) {
                 Ok(()) => tracing::info!(level = new.log.level, "the configuration was reloaded"),
