@@ -102,7 +102,7 @@ fn check_tells_of_video_and_intrinsics_and_refuses_what_does_not_fit() {
     }
     for (file, part) in [
         ("wide.yaml", "wide.yaml is for 128x48 images, those of"),
-        ("broken.yaml", "broken.yaml, line 8: found distortion_model \"magic\""),
+        ("broken.yaml", "broken.yaml, line 7: found distortion_model \"magic\""),
         ("none.yaml", "No such file"),
     ] {
         for kind in [&["source.kind=folder"][..], &["source.kind=video", &path]] {

@@ -132,7 +132,9 @@ impl Preprocessor {
         let size_px = (frame.pixels.width_px(), frame.pixels.height_px());
         self.plan(size_px, self.configured_camera.or(frame.camera))?;
         self.decoder.decode(&frame.pixels, &mut self.raw)?;
-        let Some(Planned { view, straightening, .. }) = &mut self.planned else { unreachable!("planned above") };
+        let Some(Planned { view, straightening, .. }) = &mut self.planned else {
+            unreachable!("planned above")
+        };
         let image = match straightening {
             Some(Straightening::Composed(remap)) => {
                 remap.apply(&self.raw, &mut self.resized);
@@ -145,15 +147,14 @@ impl Preprocessor {
             None => Some(&self.raw),
         };
         if let Some(image) = image {
-            resize(&mut self.resizer, self.spec.preprocessing.filter, image, view, &mut self.resized).map_err(
-                |error| PreprocessError::Resize {
+            resize(&mut self.resizer, self.spec.preprocessing.filter, image, view, &mut self.resized)
+                .map_err(|error| PreprocessError::Resize {
                     width_px: size_px.0,
                     height_px: size_px.1,
                     to_width_px: view.target[2],
                     to_height_px: view.target[3],
                     reason: error.to_string(),
-                },
-            )?;
+                })?;
         }
         normalise(&self.resized, view, self.spec.size_px, &self.normalised, &mut self.tensor);
         Ok(&self.tensor)

@@ -76,7 +76,8 @@ impl Remap {
             let all = || taps.iter().map(|(tap, _)| of(tap));
             all().min().zip(all().max())
         };
-        let (Some((x_first, x_last)), Some((y_first, y_last))) = (bounds(|tap| tap.0), bounds(|tap| tap.1)) else {
+        let (Some((x_first, x_last)), Some((y_first, y_last))) = (bounds(|tap| tap.0), bounds(|tap| tap.1))
+        else {
             self.windows.push(Window { start: 0, rows: 0, columns: LANES as u16, weights });
             return Some(());
         };
@@ -204,7 +205,12 @@ mod tests {
     }
 
     /// Undistorts and resizes one after the other, and at once.
-    fn both(camera: &Camera, input_px: (u32, u32), policy: ResizePolicy, filter: Filter) -> (Vec<u8>, Vec<u8>) {
+    fn both(
+        camera: &Camera,
+        input_px: (u32, u32),
+        policy: ResizePolicy,
+        filter: Filter,
+    ) -> (Vec<u8>, Vec<u8>) {
         let options = IntrinsicsOptions::default();
         let view = View::plan(camera.size_px(), Some(camera), None, input_px, policy, &options).unwrap();
         let source = picture(camera.size_px());

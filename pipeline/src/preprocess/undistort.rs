@@ -55,7 +55,9 @@ impl UndistortMap {
     /// Tells of each source pixel (x, y) in which the undistorted pixel has a part, and of that part.
     pub(crate) fn taps(&self, x: u32, y: u32, mut each: impl FnMut((u32, u32), f32)) {
         let (width, _) = self.size_px();
-        let Some(tap) = self.taps.get((y * width + x) as usize).filter(|tap| tap.pixel != OUTSIDE) else { return };
+        let Some(tap) = self.taps.get((y * width + x) as usize).filter(|tap| tap.pixel != OUTSIDE) else {
+            return;
+        };
         let (left, upper) = (tap.pixel % width, tap.pixel / width);
         let (right, lower) = (f32::from(tap.right) / 256.0, f32::from(tap.lower) / 256.0);
         for (dx, weight_x) in [(0, 1.0 - right), (1, right)] {
