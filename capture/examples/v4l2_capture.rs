@@ -162,12 +162,24 @@ fn capture(asked: &Asked) -> Result<(), Failure> {
             Err(error) => return Err(error.into()),
         }
     }
-    let Seen { frames, bad, skipped, oldest_ms, changed, .. } = seen;
+    let fps = seen.rate_hz();
+    let cpu_ms = cpu_ms().unwrap_or(f64::NAN) / seen.frames as f64;
+    let Seen { frames, bad, skipped, oldest_ms, changed, age_sum_ms, .. } = seen;
     println!(
-        "done frames={frames} bad={bad} dropped={} skipped={skipped} oldest_ms={oldest_ms:.1} changed={changed}",
-        source.dropped_frames()
+        "done frames={frames} bad={bad} dropped={} skipped={skipped} oldest_ms={oldest_ms:.1} changed={changed} \
+         fps={fps:.2} mean_age_ms={:.2} cpu_ms={cpu_ms:.2}",
+        source.dropped_frames(),
+        age_sum_ms / frames as f64
     );
     Ok(())
+}
+
+/// Processor time of this process so far; the kernel counts in hundredths of a second.
+fn cpu_ms() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/self/stat").ok()?;
+    let fields: Vec<&str> = text.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks = |index: usize| fields.get(index)?.parse::<f64>().ok();
+    Some((ticks(11)? + ticks(12)?) * 10.0)
 }
 
 /// What must hold from frame to frame.
@@ -180,12 +192,20 @@ struct Seen {
     last_ns: u64,
     /// Largest distance between the time of capture and now.
     oldest_ms: f64,
+    age_sum_ms: f64,
+    first_ns: Option<u64>,
     last_sum: u64,
     /// Frames whose pixels differ from those of the frame before.
     changed: u64,
 }
 
 impl Seen {
+    /// Frames per second between the first and the last.
+    fn rate_hz(&self) -> f64 {
+        let span_ns = self.first_ns.map_or(0, |first_ns| self.last_ns - first_ns);
+        self.frames.saturating_sub(1) as f64 * 1e9 / span_ns.max(1) as f64
+    }
+
     fn number(&mut self, sequence: u64) -> Result<(), Failure> {
         if let Some(last) = self.last_number.replace(sequence) {
             let step = sequence.checked_sub(last).filter(|step| *step > 0);
@@ -202,6 +222,8 @@ impl Seen {
         self.last_ns = ns;
         let age_ms = (monotonic_ns() as i128 - i128::from(ns)) as f64 / 1e6;
         self.oldest_ms = self.oldest_ms.max(age_ms.abs());
+        self.age_sum_ms += age_ms;
+        self.first_ns.get_or_insert(ns);
         let sum =
             data.iter().step_by(7).fold(0u64, |sum, &byte| sum.wrapping_mul(31).wrapping_add(byte.into()));
         self.changed += u64::from(sum != self.last_sum);

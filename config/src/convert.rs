@@ -52,13 +52,25 @@ fn optical_to_body() -> Pose {
 }
 
 fn source(raw: RawSource) -> Checked<SourceConfig> {
-    if matches!(raw.kind, RawKind::V4l2) {
-        no_recording(&raw)?;
+    match raw.kind {
+        RawKind::Folder => {}
+        RawKind::V4l2 => no_recording(&raw)?,
+        RawKind::Video => no_dataset(&raw)?,
+    }
+    let camera = raw.intrinsics.filter(|raw| !raw.is_empty()).map(intrinsics).transpose()?;
+    if raw.calibration.is_some() && camera.is_some() {
+        let problem = "[source.intrinsics] is there as well: give one of the two".into();
+        return Err(Invalid { key: "source.calibration", problem });
+    }
+    if raw.calibration.is_none() && raw.calibration_camera.is_some() {
+        let problem = "it chooses from source.calibration, and there is none".into();
+        return Err(Invalid { key: "source.calibration_camera", problem });
     }
     Ok(SourceConfig {
         kind: match raw.kind {
             RawKind::Folder => SourceKind::Folder,
             RawKind::V4l2 => SourceKind::V4l2,
+            RawKind::Video => SourceKind::Video,
         },
         v4l2: V4l2Config {
             device: path("source.device", raw.device)?,
@@ -118,7 +130,12 @@ fn source(raw: RawSource) -> Checked<SourceConfig> {
             (offset_ms * 1e6).round() as i64
         },
         silence: Duration::from_millis(within("source.silence_ms", raw.silence_ms, 50, 60_000)?),
-        camera: raw.intrinsics.filter(|raw| !raw.is_empty()).map(intrinsics).transpose()?,
+        calibration: raw.calibration.map(|file| path("source.calibration", file)).transpose()?,
+        calibration_camera: raw
+            .calibration_camera
+            .map(|name| not_empty("source.calibration_camera", name))
+            .transpose()?,
+        camera,
     })
 }
 
@@ -132,10 +149,22 @@ fn no_recording(raw: &RawSource) -> Checked<()> {
         ("source.first_frame", raw.first_frame != 0),
         ("source.frame_limit", raw.frame_limit.is_some()),
     ];
-    match set.into_iter().find(|(_, is_set)| *is_set) {
-        Some((key, _)) => {
-            Err(Invalid { key, problem: "it is for a recording, and source.kind is \"v4l2\"".into() })
-        }
+    refuse_set(&set, "it is for a recording, and source.kind is \"v4l2\"")
+}
+
+/// A video is one sequence of one camera.
+fn no_dataset(raw: &RawSource) -> Checked<()> {
+    let set = [
+        ("source.layout", !matches!(raw.layout, RawLayout::Auto)),
+        ("source.sequence", raw.sequence.is_some()),
+        ("source.dataset_camera", raw.dataset_camera.is_some()),
+    ];
+    refuse_set(&set, "it is for a folder, and source.kind is \"video\"")
+}
+
+fn refuse_set(set: &[(&'static str, bool)], problem: &str) -> Checked<()> {
+    match set.iter().find(|(_, is_set)| *is_set) {
+        Some((key, _)) => Err(Invalid { key, problem: problem.into() }),
         None => Ok(()),
     }
 }

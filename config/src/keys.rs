@@ -25,8 +25,8 @@ const TRANSFORM: &str =
 /// Every key, in the order of the commented example.
 pub const KEYS: &[Key] = &[
     key("camera.name", "1 to 31 of a-z A-Z 0-9 _ - . starting with a letter, digit or _"),
-    key("source.kind", "\"folder\" or \"v4l2\""),
-    key("source.path", "a folder"),
+    key("source.kind", "\"folder\", \"video\" or \"v4l2\""),
+    key("source.path", "a folder, or a video file"),
     key("source.layout", "\"auto\", \"7scenes\", \"kitti\" or \"images\""),
     optional("source.sequence", "the name of one sequence of the dataset"),
     optional("source.dataset_camera", "the name of one camera of the dataset, such as \"image_2\""),
@@ -44,6 +44,11 @@ pub const KEYS: &[Key] = &[
     optional("source.rate_hz", "a number greater than 0 and at most 1000 (frames per second)"),
     key("source.time_offset_ms", "a number from -1000 to 1000 (milliseconds)"),
     key("source.silence_ms", "an integer from 50 to 60000 (milliseconds)"),
+    optional(
+        "source.calibration",
+        "a YAML file of ROS camera_info, Kalibr or OpenCV, without [source.intrinsics]",
+    ),
+    optional("source.calibration_camera", "a camera of a Kalibr chain, such as \"cam0\""),
     optional("source.intrinsics.width_px", "an integer from 1 to 65535 (pixels)"),
     optional("source.intrinsics.height_px", "an integer from 1 to 65535 (pixels)"),
     optional("source.intrinsics.fx_px", "a number greater than 0 (pixels)"),

@@ -102,6 +102,9 @@ impl Layers {
         self.anchor("source.path", &mut config.source.path);
         self.anchor("model.checkpoint", &mut config.model.checkpoint);
         self.anchor("record.folder", &mut config.record.folder);
+        if let Some(calibration) = &mut config.source.calibration {
+            self.anchor("source.calibration", calibration);
+        }
         if let Some(scene) = &mut config.model.scene {
             self.anchor("model.scene", scene);
         }

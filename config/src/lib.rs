@@ -64,7 +64,7 @@ pub struct GrnetdConfig {
 pub struct SourceConfig {
     /// What kind of source it is.
     pub kind: SourceKind,
-    /// Folder of the recording.
+    /// Folder of the recording, or video file.
     pub path: PathBuf,
     /// How the folder is laid out.
     pub layout: Layout,
@@ -88,6 +88,10 @@ pub struct SourceConfig {
     pub time_offset_ns: i64,
     /// How long a live source may be silent before it counts as lost.
     pub silence: Duration,
+    /// A calibration file with the intrinsics that replace those of the recording; never beside `camera`.
+    pub calibration: Option<PathBuf>,
+    /// Which camera of a calibration file with several.
+    pub calibration_camera: Option<String>,
     /// Intrinsics that replace those of the recording.
     pub camera: Option<grnet_frame::Camera>,
 }
@@ -99,6 +103,8 @@ pub enum SourceKind {
     Folder,
     /// A V4L2 camera.
     V4l2,
+    /// A video file.
+    Video,
 }
 
 /// The keys of `[source]` that hold for `kind = "v4l2"`. Whatever is `None` is left as the driver has it.

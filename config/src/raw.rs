@@ -57,6 +57,8 @@ pub(crate) struct RawSource {
     pub rate_hz: Option<f64>,
     pub time_offset_ms: f64,
     pub silence_ms: u64,
+    pub calibration: Option<PathBuf>,
+    pub calibration_camera: Option<String>,
     pub intrinsics: Option<RawIntrinsics>,
 }
 
@@ -82,6 +84,8 @@ impl Default for RawSource {
             rate_hz: None,
             time_offset_ms: 0.0,
             silence_ms: 500,
+            calibration: None,
+            calibration_camera: None,
             intrinsics: None,
         }
     }
@@ -92,6 +96,7 @@ impl Default for RawSource {
 pub(crate) enum RawKind {
     Folder,
     V4l2,
+    Video,
 }
 
 /// As V4L2 calls them.

@@ -208,3 +208,20 @@ fn a_camera_is_asked_for_by_format_size_rate_and_controls() {
         assert!(error.contains("/etc/g.toml:3:") && error.contains(key), "{wrong}: {error}");
     }
 }
+
+#[test]
+fn a_video_is_one_sequence_and_a_calibration_camera_needs_a_calibration() {
+    let video = "[source]\nkind = 'video'\n";
+    let config = accept(&format!("{video}path = 'hall.mp4'\nloop = true\nfirst_frame = 3\n"), &[]).source;
+    assert_eq!((config.kind, config.path), (grnet_config::SourceKind::Video, "/etc/hall.mp4".into()));
+    for (wrong, key) in [
+        ("layout = 'kitti'", "source.layout = 'kitti': it is for a folder"),
+        ("sequence = '01'", "source.sequence = '01': it is for a folder"),
+        ("dataset_camera = 'image_2'", "source.dataset_camera = 'image_2': it is for a folder"),
+        ("calibration_camera = 'cam0'", "it chooses from source.calibration, and there is none"),
+        ("calibration = ''", "source.calibration = '': it is empty"),
+    ] {
+        let error = refuse(&format!("{video}{wrong}"), &[]);
+        assert!(error.contains("/etc/g.toml:3:") && error.contains(key), "{wrong}: {error}");
+    }
+}

@@ -8,10 +8,17 @@ const EXAMPLE: &str = include_str!("../grnetd.toml");
 
 /// The example with the keys that have no default switched on.
 fn with_optional_keys() -> String {
+    with_keys(|_| true)
+}
+
+/// The example with those of the keys that have no default switched on that are `wanted`.
+fn with_keys(wanted: impl Fn(&str) -> bool) -> String {
     EXAMPLE
         .lines()
         .map(|line| match line.strip_prefix('#') {
-            Some(key) if key.starts_with(|c: char| c.is_ascii_lowercase()) => format!("{key}\n"),
+            Some(key) if key.starts_with(|c: char| c.is_ascii_lowercase()) && wanted(key) => {
+                format!("{key}\n")
+            }
             _ => format!("{line}\n"),
         })
         .collect()
@@ -78,8 +85,15 @@ fn the_example_has_every_key_in_order_and_each_is_explained() {
 #[test]
 fn the_example_with_every_key_is_valid() {
     // Groups are for access by group alone.
-    let text = with_optional_keys().replace("\naccess = \"user\"\n", "\naccess = \"group\"\n");
-    let config = GrnetdConfig::parse(&text, Path::new("grnetd.toml"), &[]).unwrap();
+    let group = |text: String| text.replace("\naccess = \"user\"\n", "\naccess = \"group\"\n");
+    let parse = |text: String| GrnetdConfig::parse(&group(text), Path::new("/etc/grnetd.toml"), &[]);
+    // Intrinsics come from keys or from a file.
+    assert!(
+        parse(with_optional_keys()).unwrap_err().to_string().contains("[source.intrinsics] is there as well")
+    );
+    let source = parse(with_keys(|key| key.starts_with("calibration"))).unwrap().source;
+    assert_eq!(source.calibration.as_deref(), Some(Path::new("/etc/camera.yaml")));
+    let config = parse(with_keys(|key| !key.starts_with("calibration"))).unwrap();
     assert!(config.source.camera.is_some() && config.model.scene.is_some());
     assert_eq!(config.publish.prefix.as_deref(), Some("grnet_"));
     assert_eq!(config.publish.control_group.as_deref(), Some("grnet-admin"));

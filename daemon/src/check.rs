@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use grnet_config::{SourceConfig, SourceKind};
 use grnet_geometry::{Pose, quaternion};
 use grnet_model::Heads;
 use grnet_proto::{ContentHash, names, qos};
@@ -59,7 +60,11 @@ fn describe(
 
     line("source", source.name);
     let rate = source.nominal_rate_hz.map_or("unknown rate".to_owned(), |hz| format!("{hz:.3} frames/s"));
-    let length = source.length.map_or("without end".to_owned(), |length| format!("{length} frames"));
+    let length = match source.length {
+        Some(length) => format!("{length} frames"),
+        None if is_whole_video(&loaded.config.source) => "to the end of the file".to_owned(),
+        None => "without end".to_owned(),
+    };
     line("", format!("{:?}, {rate}, {length}", source.kind));
     let intrinsics = loaded.config.source.camera.or(source.camera).map_or("not known".to_owned(), |camera| {
         let ((width, height), (fx, fy), (cx, cy)) = (camera.size_px(), camera.focal_px(), camera.centre_px());
@@ -74,11 +79,16 @@ fn describe(
     if let Some(advice) = realtime.advice() {
         line("note", advice);
     }
-    for note in parts.source_notes.iter().chain(&info.notes) {
+    for note in loaded.notes.iter().chain(&parts.source_notes).chain(&info.notes) {
         line("note", note.clone());
     }
     line("result", "this configuration can run".into());
     Ok(text)
+}
+
+/// How long a video is shows at its end only.
+fn is_whole_video(source: &SourceConfig) -> bool {
+    source.kind == SourceKind::Video && !source.looped
 }
 
 fn transform(pose: &Pose) -> String {

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
-use grnet_config::{GrnetdConfig, Override};
+use grnet_config::Override;
 
 use crate::failure::Failure;
 use crate::run::Loaded;
-use crate::{check, devices, logging, run, supervisor};
+use crate::{check, devices, logging, run, setup, supervisor};
 
 /// Camera frames in, poses in shared memory out.
 #[derive(Debug, Parser)]
@@ -109,9 +109,8 @@ impl Configuration {
             .map(|text| Override::parse(text))
             .collect::<Result<_, _>>()
             .map_err(Failure::config)?;
-        let (config, settings) =
-            GrnetdConfig::load_with_settings(&self.config, &overrides).map_err(Failure::config)?;
-        Ok(Loaded { config, settings, path: self.config.clone(), overrides, record: None })
+        let (config, settings, notes) = setup::load_config(&self.config, &overrides)?;
+        Ok(Loaded { config, settings, path: self.config.clone(), overrides, record: None, notes })
     }
 }
 

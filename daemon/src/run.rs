@@ -42,6 +42,8 @@ pub struct Loaded {
     pub overrides: Vec<Override>,
     /// Record into this folder from the first frame on.
     pub record: Option<PathBuf>,
+    /// What a user should know about the calibration.
+    pub notes: Vec<String>,
 }
 
 /// Runs until the recording ends, a signal comes or something fails.
@@ -63,6 +65,9 @@ pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
     manager.status("loading the model");
     let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };
     parts.log();
+    for note in &loaded.notes {
+        tracing::info!(note, "source");
+    }
     let state = Arc::new(parts.state()?);
     for refusal in &refusals {
         tracing::warn!("{refusal}");

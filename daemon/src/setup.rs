@@ -1,10 +1,12 @@
 //! From the configuration to the parts that run. Everything that a configuration can get wrong fails here.
 
+use std::path::Path;
+
 use anyhow::Context as _;
-use grnet_capture::dataset::{self, OpenOptions};
-use grnet_capture::{FolderOptions, FolderSource, V4l2Options, V4l2Source};
+use grnet_capture::dataset::{self, OpenOptions, calibration};
+use grnet_capture::{FolderOptions, FolderSource, V4l2Options, V4l2Source, VideoOptions, VideoSource};
 use grnet_config as config;
-use grnet_config::GrnetdConfig;
+use grnet_config::{GrnetdConfig, Override, Settings};
 use grnet_frame::{FrameSource, SourceError};
 use grnet_pipeline::{
     AfterRejections, InnovationGate, IntrinsicsOptions, IntrinsicsPolicy, Pipeline, PipelineOptions,
@@ -135,6 +137,7 @@ fn open_source(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, V
     match source.kind {
         config::SourceKind::Folder => open_folder(source),
         config::SourceKind::V4l2 => open_camera(source),
+        config::SourceKind::Video => open_video(source),
     }
 }
 
@@ -177,23 +180,12 @@ fn open_folder(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, V
     let recording = dataset::open_one(&source.path, &options)
         .context("the recording cannot be opened (source.path, source.layout, source.sequence)")
         .map_err(Failure::config)?;
-    if let (Some(camera), Some(stored_px)) = (&source.camera, recording.image_size_px)
-        && camera.size_px() != stored_px
-    {
-        let ((width, height), (stored_width, stored_height)) = (camera.size_px(), stored_px);
-        return Err(Failure::config(anyhow::anyhow!(
-            "source.intrinsics are for {width}x{height} images, those of {} are {stored_width}x{stored_height}: \
-             give the intrinsics at that size",
-            recording.name
-        )));
+    if let Some(stored_px) = recording.image_size_px {
+        check_size(source, stored_px, &recording.name)?;
     }
     let notes = recording.notes.clone();
     let options = FolderOptions {
-        pace: match source.pace {
-            config::Pace::Realtime => grnet_capture::Pace::Realtime,
-            config::Pace::Factor(factor) => grnet_capture::Pace::Factor(factor),
-            config::Pace::Max => grnet_capture::Pace::Max,
-        },
+        pace: pace(source.pace),
         looped: source.looped,
         start_at: source.first_frame,
         limit: source.frame_limit,
@@ -202,6 +194,71 @@ fn open_folder(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, V
         .context("the recording cannot be played (source.first_frame, source.frame_limit, source.pace)")
         .map_err(Failure::config)?;
     Ok((Box::new(source), notes))
+}
+
+fn open_video(source: &config::SourceConfig) -> Result<(Box<dyn FrameSource>, Vec<String>), Failure> {
+    let options = VideoOptions {
+        pace: pace(source.pace),
+        looped: source.looped,
+        start_at: source.first_frame as u64,
+        limit: source.frame_limit.map(|limit| limit as u64),
+        rate_hz: source.rate_hz,
+        ..VideoOptions::default()
+    };
+    let video = VideoSource::open(&source.path, &options)
+        .context("the video cannot be played (source.path, source.first_frame, source.frame_limit)")
+        .map_err(Failure::config)?;
+    check_size(source, video.size_px(), &source.path.display())?;
+    let (width, height) = video.size_px();
+    let mut notes = vec![format!("the video gives upright frames of {width}x{height}")];
+    notes.extend(video.notes().iter().map(|note| format!("ffmpeg: {note}")));
+    Ok((Box::new(video), notes))
+}
+
+/// Intrinsics hold for one image size: the stored one.
+fn check_size(
+    source: &config::SourceConfig,
+    stored_px: (u32, u32),
+    name: &dyn std::fmt::Display,
+) -> Result<(), Failure> {
+    let Some(camera) = source.camera.filter(|camera| camera.size_px() != stored_px) else { return Ok(()) };
+    let ((width, height), (stored_width, stored_height)) = (camera.size_px(), stored_px);
+    let origin = match &source.calibration {
+        Some(file) => format!("the calibration {} is", file.display()),
+        None => "source.intrinsics are".to_owned(),
+    };
+    Err(Failure::config(anyhow::anyhow!(
+        "{origin} for {width}x{height} images, those of {name} are {stored_width}x{stored_height}: give the \
+         intrinsics at that size"
+    )))
+}
+
+fn pace(pace: config::Pace) -> grnet_capture::Pace {
+    match pace {
+        config::Pace::Realtime => grnet_capture::Pace::Realtime,
+        config::Pace::Factor(factor) => grnet_capture::Pace::Factor(factor),
+        config::Pace::Max => grnet_capture::Pace::Max,
+    }
+}
+
+/// Reads the configuration, and puts the intrinsics of `source.calibration` where those of `[source.intrinsics]` would
+/// be; beside it what in that file is not used.
+///
+/// # Errors
+/// When one of the files cannot be read or used.
+pub fn load_config(
+    path: &Path,
+    overrides: &[Override],
+) -> Result<(GrnetdConfig, Settings, Vec<String>), Failure> {
+    let (mut config, settings) =
+        GrnetdConfig::load_with_settings(path, overrides).map_err(Failure::config)?;
+    let source = &mut config.source;
+    let Some(file) = &source.calibration else { return Ok((config, settings, Vec::new())) };
+    let read = calibration::read(file, source.calibration_camera.as_deref())
+        .context("the calibration cannot be used (source.calibration, source.calibration_camera)")
+        .map_err(Failure::config)?;
+    source.camera = Some(read.camera);
+    Ok((config, settings, read.notes))
 }
 
 fn layout(layout: config::Layout) -> dataset::Layout {

@@ -9,20 +9,8 @@ use grnet_proto::{
     Command, ControlClient, ControlRequest, Outcome, PoseSubscription, Reason, Recording, SourceState,
     Status, StatusSubscription,
 };
-use rig::{Daemon, Rig};
+use rig::{Daemon, Rig, next};
 use rustix::process::Signal;
-
-fn next<M: grnet_proto::Message>(subscription: &grnet_proto::Subscription<M>) -> M {
-    let deadline = Instant::now() + Duration::from_secs(30);
-    loop {
-        if let Some(message) = subscription.receive().unwrap() {
-            return message;
-        }
-        let left = deadline.saturating_duration_since(Instant::now());
-        assert!(!left.is_zero(), "nothing came within 30 s");
-        subscription.wait(left).unwrap();
-    }
-}
 
 #[test]
 fn usage_errors_end_with_2_and_help_with_0() {

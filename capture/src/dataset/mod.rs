@@ -29,6 +29,7 @@
 //! | any text that does not parse | an error with file, line, what was found and what was expected |
 
 mod assemble;
+pub mod calibration;
 mod colmap;
 mod colmap_camera;
 mod detect;
@@ -46,6 +47,7 @@ mod seven_scenes;
 mod split;
 mod text;
 mod tum;
+mod yaml;
 
 use std::path::{Path, PathBuf};
 

@@ -2,18 +2,13 @@
 
 use grnet_frame::Distortion;
 use grnet_geometry::Pose;
-use saphyr::{LoadableYamlNode, MarkedYaml};
+use saphyr::MarkedYaml;
 
 use super::DatasetError;
 use super::intrinsics::Intrinsics;
 use super::pose::from_rows;
-use super::text::{Line, TextFile};
-
-/// Longest file that is read: the real ones have one kilobyte, and nesting costs stack.
-const MAX_BYTES: usize = 64 * 1024;
-
-/// Deepest nesting that is read; the real files have three levels.
-const MAX_DEPTH: usize = 16;
+use super::text::TextFile;
+use super::yaml::Reader;
 
 /// What a camera's file says; each part may be missing.
 #[derive(Debug, Default)]
@@ -25,47 +20,30 @@ pub(crate) struct Sensor {
 
 /// Parses the file; keys that are not needed are ignored.
 pub(crate) fn parse_sensor(file: &TextFile) -> Result<Sensor, DatasetError> {
-    // OpenCV's `%YAML:1.0` is no YAML directive; commenting it out keeps the line numbers.
-    let text =
-        if file.text().starts_with("%YAML:") { format!("#{}", file.text()) } else { file.text().into() };
-    let at = |number: usize| Line { path: file.path(), number, text: "" };
-    let depth = text.bytes().filter(|byte| matches!(byte, b'[' | b'{')).count();
-    let indent = text.lines().map(|line| line.len() - line.trim_start_matches([' ', '-']).len()).max();
-    if text.len() > MAX_BYTES || depth > MAX_DEPTH || indent > Some(4 * MAX_DEPTH) {
-        return Err(
-            at(1).error("a file too long or too deep", "a camera's sensor.yaml of about one kilobyte")
-        );
-    }
-    let documents = MarkedYaml::load_from_str(&text).map_err(|error| {
-        at(error.marker().line().max(1))
-            .error(format!("bad YAML ({})", error.info()), "a camera's sensor.yaml")
-    })?;
-    let Some(root) = documents.first().filter(|root| root.data.is_mapping()) else {
-        return Err(
-            at(1).error("no keys", "a camera's sensor.yaml: `intrinsics: [fu, fv, cu, cv]` and so on")
-        );
-    };
-    let document = Document { file, root };
+    let reader = Reader { file, what: "a camera's sensor.yaml: `intrinsics: [fu, fv, cu, cv]` and so on" };
+    let text = reader.text();
+    let root = reader.root(&text)?;
+    let document = Document { reader, root: &root };
     Ok(Sensor { intrinsics: document.intrinsics()?, body_from_camera: document.body_from_camera()? })
 }
 
 struct Document<'a> {
-    file: &'a TextFile,
+    reader: Reader<'a>,
     root: &'a MarkedYaml<'a>,
 }
 
-impl<'a> Document<'a> {
+impl Document<'_> {
     fn intrinsics(&self) -> Result<Option<Intrinsics>, DatasetError> {
         let Some(node) = self.root.data.as_mapping_get("intrinsics") else { return Ok(None) };
         let expected = "intrinsics [fu, fv, cu, cv] with positive focal lengths";
-        let [fu, fv, cu, cv] = self.numbers::<4>(node, expected)?;
+        let [fu, fv, cu, cv] = self.reader.numbers::<4>(node, expected)?;
         if fu <= 0.0 || fv <= 0.0 {
-            return Err(self.at(node).error(format!("[{fu}, {fv}, {cu}, {cv}]"), expected));
+            return Err(self.reader.at(node).error(format!("[{fu}, {fv}, {cu}, {cv}]"), expected));
         }
         if let Some(model) = self.root.data.as_mapping_get("camera_model")
             && model.data.as_str() != Some("pinhole")
         {
-            return Err(self.at(model).error("another camera_model", "pinhole"));
+            return Err(self.reader.at(model).error("another camera_model", "pinhole"));
         }
         Ok(Some(Intrinsics {
             focal_px: (fu, fv),
@@ -73,7 +51,7 @@ impl<'a> Document<'a> {
             distortion: self.distortion()?,
             size_px: self.resolution()?,
             scalable: false,
-            origin: self.file.path().display().to_string(),
+            origin: self.reader.file.path().display().to_string(),
         }))
     }
 
@@ -85,6 +63,7 @@ impl<'a> Document<'a> {
             return match model.data.as_str() {
                 Some("none") => Ok(Distortion::None),
                 _ => Err(self
+                    .reader
                     .at(model)
                     .error("no distortion_coefficients", "them beside the distortion_model")),
             };
@@ -93,19 +72,19 @@ impl<'a> Document<'a> {
             Some("radial-tangential" | "radtan" | "plumb_bob") => {
                 let expected = "four or five distortion coefficients [k1, k2, p1, p2(, k3)]";
                 let k = if node.data.as_sequence().is_some_and(|all| all.len() == 5) {
-                    self.numbers::<5>(node, expected)?
+                    self.reader.numbers::<5>(node, expected)?
                 } else {
-                    let [k1, k2, p1, p2] = self.numbers::<4>(node, expected)?;
+                    let [k1, k2, p1, p2] = self.reader.numbers::<4>(node, expected)?;
                     [k1, k2, p1, p2, 0.0]
                 };
                 Ok(Distortion::PlumbBob(k))
             }
             Some("equidistant") => {
                 let expected = "four distortion coefficients [k1, k2, k3, k4]";
-                Ok(Distortion::Equidistant(self.numbers::<4>(node, expected)?))
+                Ok(Distortion::Equidistant(self.reader.numbers::<4>(node, expected)?))
             }
             Some("none") => Ok(Distortion::None),
-            other => Err(self.at(model).error(
+            other => Err(self.reader.at(model).error(
                 format!("distortion_model {:?}", other.unwrap_or("that is no text")),
                 "radial-tangential, equidistant or none",
             )),
@@ -115,11 +94,8 @@ impl<'a> Document<'a> {
     fn resolution(&self) -> Result<Option<(u32, u32)>, DatasetError> {
         let Some(node) = self.root.data.as_mapping_get("resolution") else { return Ok(None) };
         let expected = "resolution [width, height] in whole pixels";
-        let pixels = |value: f64| {
-            let whole = value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value);
-            if whole { Ok(value as u32) } else { Err(self.at(node).error(value, expected)) }
-        };
-        let [width, height] = self.numbers::<2>(node, expected)?;
+        let pixels = |value: f64| self.reader.whole_pixels(node, value, expected);
+        let [width, height] = self.reader.numbers::<2>(node, expected)?;
         Ok(Some((pixels(width)?, pixels(height)?)))
     }
 
@@ -127,39 +103,14 @@ impl<'a> Document<'a> {
         let Some(node) = self.root.data.as_mapping_get("T_BS") else { return Ok(None) };
         let expected = "T_BS with `data`: the sixteen numbers of a 4x4 rigid motion, row by row";
         let Some(data) = node.data.as_mapping_get("data") else {
-            return Err(self.at(node).error("no data", expected));
+            return Err(self.reader.at(node).error("no data", expected));
         };
-        let matrix = self.numbers::<16>(data, expected)?;
+        let matrix = self.reader.numbers::<16>(data, expected)?;
         if matrix[12..] != [0.0, 0.0, 0.0, 1.0] {
-            return Err(self.at(data).error(format!("the last row {:?}", &matrix[12..]), expected));
+            return Err(self.reader.at(data).error(format!("the last row {:?}", &matrix[12..]), expected));
         }
         let rows: [f64; 12] = std::array::from_fn(|index| matrix[index]);
-        from_rows(&rows).map(Some).map_err(|problem| self.at(data).error(problem, expected))
-    }
-
-    fn numbers<const N: usize>(
-        &self,
-        node: &MarkedYaml<'_>,
-        expected: &str,
-    ) -> Result<[f64; N], DatasetError> {
-        let Some(all) = node.data.as_sequence() else {
-            return Err(self.at(node).error("no list", expected));
-        };
-        if all.len() != N {
-            return Err(self.at(node).error(format!("{} entries", all.len()), expected));
-        }
-        let mut values = [0.0; N];
-        for (value, entry) in values.iter_mut().zip(all) {
-            let number = entry.data.as_floating_point().or(entry.data.as_integer().map(|whole| whole as f64));
-            *value = number
-                .filter(|number| number.is_finite())
-                .ok_or_else(|| self.at(entry).error("an entry that is no finite number", expected))?;
-        }
-        Ok(values)
-    }
-
-    fn at(&self, node: &MarkedYaml<'_>) -> Line<'a> {
-        Line { path: self.file.path(), number: node.span.start.line().max(1), text: "" }
+        from_rows(&rows).map(Some).map_err(|problem| self.reader.at(data).error(problem, expected))
     }
 }
 

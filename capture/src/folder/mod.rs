@@ -1,31 +1,17 @@
 //! Plays a [`Recording`] as a [`FrameSource`].
 
-mod live;
-mod on_demand;
 mod reader;
 mod schedule;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use grnet_frame::{FrameSource, Received, SourceError, SourceInfo, SourceKind};
+use grnet_frame::{FrameSource, Received, SourceError, SourceInfo};
 
 use crate::dataset::{RecordedFrame, Recording};
-use live::{Failed, Live};
-use on_demand::OnDemand;
+use crate::play::{Pace, Player};
 use reader::Reader;
 use schedule::Schedule;
-
-/// How fast a recording is played.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Pace {
-    /// At the recorded intervals, like a camera.
-    Realtime,
-    /// At the recorded intervals divided by this factor: 2 is twice as fast.
-    Factor(f64),
-    /// As fast as frames are asked for; nothing is dropped and every run is the same.
-    Max,
-}
 
 /// What part of a recording is played, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,15 +65,7 @@ pub struct FolderSource {
     schedule: Schedule,
     size_px: Option<(u32, u32)>,
     pace: Pace,
-    player: Player,
-}
-
-#[derive(Debug)]
-enum Player {
-    Waiting,
-    Live(Live),
-    OnDemand(OnDemand),
-    Failed,
+    player: Option<Player>,
 }
 
 impl FolderSource {
@@ -106,11 +84,7 @@ impl FolderSource {
     /// when the recording's times fall.
     pub fn with_options(recording: Recording, options: FolderOptions) -> Result<Self, SourceError> {
         let unusable = |reason: String| SourceError::Unusable { source_name: recording.name.clone(), reason };
-        if let Pace::Factor(factor) = options.pace
-            && !(factor.is_finite() && factor > 0.0)
-        {
-            return Err(unusable(format!("found a pace of {factor}, expected a positive factor")));
-        }
+        options.pace.check().map_err(&unusable)?;
         let count = recording.frames.len();
         let available = count.saturating_sub(options.start_at);
         let length = options.limit.unwrap_or(available).min(available);
@@ -138,41 +112,21 @@ impl FolderSource {
             start_at: options.start_at as u64,
             looped: options.looped,
         };
-        let (kind, factor) = match options.pace {
-            Pace::Max => (SourceKind::OnDemand, 1.0),
-            Pace::Realtime => (SourceKind::Live, 1.0),
-            Pace::Factor(factor) => (SourceKind::Live, factor),
-        };
         let info = SourceInfo {
             name: recording.name,
-            kind,
-            nominal_rate_hz: recording.nominal_rate_hz.map(|rate_hz| rate_hz * factor),
+            kind: options.pace.kind(),
+            nominal_rate_hz: recording.nominal_rate_hz.map(|rate_hz| rate_hz * options.pace.factor()),
             length: schedule.length(),
             camera: recording.camera,
         };
         let size_px = recording.camera.map(|camera| camera.size_px()).or(recording.image_size_px);
-        Ok(Self { info, schedule, size_px, pace: options.pace, player: Player::Waiting })
+        Ok(Self { info, schedule, size_px, pace: options.pace, player: None })
     }
 
     /// The recorded frame, with its true pose, behind a sequence number that this source has given.
     pub fn recorded_frame(&self, sequence: u64) -> Option<&RecordedFrame> {
         let step = sequence.checked_sub(self.schedule.start_at)?;
         self.schedule.step(step).map(|step| step.frame)
-    }
-
-    fn start(&mut self) -> Result<(), SourceError> {
-        let reader = Reader { schedule: self.schedule.clone(), size_px: self.size_px };
-        let started = match self.pace {
-            Pace::Max => OnDemand::start(reader).map(Player::OnDemand),
-            Pace::Realtime => Live::start(reader, 1.0).map(Player::Live),
-            Pace::Factor(factor) => Live::start(reader, factor).map(Player::Live),
-        };
-        // A thread that could not be started now may be started by a later call.
-        self.player = started.map_err(|error| SourceError::Lost {
-            source_name: self.info.name.clone(),
-            reason: format!("cannot start its thread: {error}"),
-        })?;
-        Ok(())
     }
 }
 
@@ -183,30 +137,18 @@ impl FrameSource for FolderSource {
     }
 
     fn next_frame(&mut self, timeout: Duration) -> Result<Received, SourceError> {
-        if matches!(self.player, Player::Waiting) {
-            self.start()?;
-        }
-        let received = match &mut self.player {
-            Player::Live(live) => live.next(timeout),
-            Player::OnDemand(on_demand) => on_demand.next(timeout),
-            Player::Waiting | Player::Failed => Err(Failed::Thread),
-        };
-        received.map_err(|failed| match failed {
-            Failed::Source(error) => error,
-            Failed::Thread => {
-                self.player = Player::Failed;
-                SourceError::Unusable {
-                    source_name: self.info.name.clone(),
-                    reason: "its reading thread ended by a fault of the program; open it again".into(),
-                }
+        let player = match &mut self.player {
+            Some(player) => player,
+            // A thread that could not be started now may be started by a later call.
+            waiting => {
+                let reader = Reader { schedule: self.schedule.clone(), size_px: self.size_px, step: 0 };
+                waiting.insert(Player::start(reader, self.pace, &self.info.name)?)
             }
-        })
+        };
+        player.next(timeout, &self.info.name)
     }
 
     fn dropped_frames(&self) -> u64 {
-        match &self.player {
-            Player::Live(live) => live.dropped(),
-            Player::OnDemand(_) | Player::Waiting | Player::Failed => 0,
-        }
+        self.player.as_ref().map_or(0, Player::dropped)
     }
 }

@@ -3,10 +3,11 @@
 use std::error::Error;
 use std::sync::Arc;
 
-use grnet_frame::{Camera, CaptureTime, Frame, Pixels, SourceError};
+use grnet_frame::SourceError;
 
 use super::schedule::Schedule;
 use crate::decode::decode_file;
+use crate::play::{Footage, Shot, Undated};
 
 /// Reads frames and holds them to one size.
 #[derive(Debug)]
@@ -14,25 +15,34 @@ pub(crate) struct Reader {
     pub schedule: Schedule,
     /// That of the intrinsics or of the first good frame.
     pub size_px: Option<(u32, u32)>,
+    /// The next step to be read.
+    pub step: u64,
 }
 
-/// A decoded frame that has no time yet.
-#[derive(Debug)]
-pub(crate) struct Undated {
-    pixels: Arc<Pixels>,
-    sequence: u64,
-    camera: Option<Camera>,
-}
+impl Footage for Reader {
+    // Any frame can be read without those before it.
+    const MOST_LAG_NS: u64 = u64::MAX;
 
-impl Undated {
-    pub fn at(self, capture_time: CaptureTime) -> Frame {
-        Frame { pixels: self.pixels, capture_time, sequence: self.sequence, camera: self.camera }
+    fn skip_to(&mut self, elapsed_ns: u64) -> u64 {
+        if self.schedule.step(self.step).is_none() {
+            return 0;
+        }
+        let newest = self.schedule.newest_due(self.step, elapsed_ns);
+        newest - std::mem::replace(&mut self.step, newest)
+    }
+
+    fn next(&mut self) -> Option<Shot> {
+        let planned = self.schedule.step(self.step)?;
+        let (offset_ns, recorded_ns) = (planned.offset_ns, self.schedule.recorded_ns(&planned));
+        let frame = self.read(self.step);
+        self.step += 1;
+        Some(Shot { offset_ns, recorded_ns, frame })
     }
 }
 
 impl Reader {
     /// Decodes the frame of a step that the schedule has.
-    pub fn read(&mut self, step: u64) -> Result<Undated, SourceError> {
+    fn read(&mut self, step: u64) -> Result<Undated, SourceError> {
         let Some(planned) = self.schedule.step(step) else {
             return Err(self.bad(step, "the recording has no such frame".into()));
         };

@@ -155,6 +155,19 @@ impl Rig {
     }
 }
 
+/// The next message; panics when none comes.
+pub fn next<M: grnet_proto::Message>(subscription: &grnet_proto::Subscription<M>) -> M {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        if let Some(message) = subscription.receive().unwrap() {
+            return message;
+        }
+        let left = deadline.saturating_duration_since(Instant::now());
+        assert!(!left.is_zero(), "nothing came within {PATIENCE:?}");
+        subscription.wait(left).unwrap();
+    }
+}
+
 /// A service that does not exist yet has no event to wait for.
 fn until_there<T>(mut open: impl FnMut() -> Result<T, TransportError>) -> T {
     let deadline = Instant::now() + PATIENCE;

@@ -1,6 +1,7 @@
 //! Frame to network input: decode -> undistort -> resize / crop -> normalise.
 
 mod decode;
+mod remap;
 mod undistort;
 mod view;
 
@@ -13,6 +14,7 @@ use grnet_frame::{Camera, Frame};
 use grnet_model::{Colour, Filter, Preprocessing};
 
 use decode::{Decoder, RgbImage};
+use remap::Remap;
 use undistort::UndistortMap;
 use view::View;
 
@@ -76,7 +78,16 @@ struct Planned {
     size_px: (u32, u32),
     camera: Option<Camera>,
     view: View,
-    map: Option<UndistortMap>,
+    straightening: Option<Straightening>,
+}
+
+/// How frames of a distorting lens become straight.
+#[derive(Debug)]
+enum Straightening {
+    /// In one pass with the resize.
+    Composed(Remap),
+    /// Before it: frames that are too small for that.
+    Whole(UndistortMap),
 }
 
 impl Preprocessor {
@@ -121,23 +132,30 @@ impl Preprocessor {
         let size_px = (frame.pixels.width_px(), frame.pixels.height_px());
         self.plan(size_px, self.configured_camera.or(frame.camera))?;
         self.decoder.decode(&frame.pixels, &mut self.raw)?;
-        let Some(Planned { view, map, .. }) = &self.planned else { unreachable!("planned above") };
-        let image = match map {
-            Some(map) => {
-                map.apply(&self.raw, &mut self.straight);
-                &self.straight
-            }
-            None => &self.raw,
+        let Some(Planned { view, straightening, .. }) = &mut self.planned else {
+            unreachable!("planned above")
         };
-        resize(&mut self.resizer, self.spec.preprocessing.filter, image, view, &mut self.resized).map_err(
-            |error| PreprocessError::Resize {
-                width_px: size_px.0,
-                height_px: size_px.1,
-                to_width_px: view.target[2],
-                to_height_px: view.target[3],
-                reason: error.to_string(),
-            },
-        )?;
+        let image = match straightening {
+            Some(Straightening::Composed(remap)) => {
+                remap.apply(&self.raw, &mut self.resized);
+                None
+            }
+            Some(Straightening::Whole(map)) => {
+                map.apply(&self.raw, &mut self.straight);
+                Some(&self.straight)
+            }
+            None => Some(&self.raw),
+        };
+        if let Some(image) = image {
+            resize(&mut self.resizer, self.spec.preprocessing.filter, image, view, &mut self.resized)
+                .map_err(|error| PreprocessError::Resize {
+                    width_px: size_px.0,
+                    height_px: size_px.1,
+                    to_width_px: view.target[2],
+                    to_height_px: view.target[3],
+                    reason: error.to_string(),
+                })?;
+        }
         normalise(&self.resized, view, self.spec.size_px, &self.normalised, &mut self.tensor);
         Ok(&self.tensor)
     }
@@ -193,7 +211,11 @@ impl Preprocessor {
         }
         let view = self.view(size_px, camera)?;
         let map = camera.filter(|_| view.undistort).and_then(|camera| UndistortMap::new(&camera));
-        self.planned = Some(Planned { size_px, camera, view, map });
+        let straightening = map.map(|map| {
+            Remap::new(&map, &view, self.spec.preprocessing.filter)
+                .map_or(Straightening::Whole(map), Straightening::Composed)
+        });
+        self.planned = Some(Planned { size_px, camera, view, straightening });
         Ok(())
     }
 }

@@ -47,6 +47,28 @@ impl UndistortMap {
         Some(Self { camera: *camera, taps })
     }
 
+    /// Size of the images before and after.
+    pub(crate) fn size_px(&self) -> (u32, u32) {
+        self.camera.size_px()
+    }
+
+    /// Tells of each source pixel (x, y) in which the undistorted pixel has a part, and of that part.
+    pub(crate) fn taps(&self, x: u32, y: u32, mut each: impl FnMut((u32, u32), f32)) {
+        let (width, _) = self.size_px();
+        let Some(tap) = self.taps.get((y * width + x) as usize).filter(|tap| tap.pixel != OUTSIDE) else {
+            return;
+        };
+        let (left, upper) = (tap.pixel % width, tap.pixel / width);
+        let (right, lower) = (f32::from(tap.right) / 256.0, f32::from(tap.lower) / 256.0);
+        for (dx, weight_x) in [(0, 1.0 - right), (1, right)] {
+            for (dy, weight_y) in [(0, 1.0 - lower), (1, lower)] {
+                if weight_x * weight_y > 0.0 {
+                    each((left + dx, upper + dy), weight_x * weight_y);
+                }
+            }
+        }
+    }
+
     /// Undistorts `source` (of the camera's size) into `target`.
     pub(crate) fn apply(&self, source: &RgbImage, target: &mut RgbImage) {
         debug_assert_eq!((source.width_px, source.height_px), self.camera.size_px());

@@ -7,8 +7,7 @@ use std::time::Duration;
 
 use grnet_frame::{CaptureTime, Frame, Received, SourceError};
 
-use super::live::Failed;
-use super::reader::Reader;
+use super::{Failed, Footage};
 
 /// Frames decoded ahead.
 const PREFETCH: usize = 4;
@@ -21,13 +20,12 @@ pub(crate) struct OnDemand {
 }
 
 impl OnDemand {
-    pub fn start(mut reader: Reader) -> std::io::Result<Self> {
+    pub fn start(mut footage: impl Footage) -> std::io::Result<Self> {
         let (sender, queue) = sync_channel(PREFETCH);
-        let thread = std::thread::Builder::new().name("folder-read".into()).spawn(move || {
-            for step in 0.. {
-                let Some(planned) = reader.schedule.step(step) else { return };
-                let time = CaptureTime::recorded(reader.schedule.recorded_ns(&planned));
-                if sender.send(reader.read(step).map(|frame| frame.at(time))).is_err() {
+        let thread = std::thread::Builder::new().name("frames-read".into()).spawn(move || {
+            while let Some(shot) = footage.next() {
+                let time = CaptureTime::recorded(shot.recorded_ns);
+                if sender.send(shot.frame.map(|frame| frame.at(time))).is_err() {
                     return;
                 }
             }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use grnet_frame::{CaptureTime, Received, SourceError};
 
-use super::reader::Reader;
+use super::{Failed, Footage};
 use crate::clock::monotonic_ns;
 
 type Item = Result<grnet_frame::Frame, SourceError>;
@@ -38,12 +38,12 @@ struct State {
 
 impl Live {
     /// Starts playing at `factor` times the recorded pace.
-    pub fn start(reader: Reader, factor: f64) -> std::io::Result<Self> {
+    pub fn start(footage: impl Footage, factor: f64) -> std::io::Result<Self> {
         let slot = Arc::new(Slot::default());
         let theirs = Arc::clone(&slot);
-        let thread = std::thread::Builder::new().name("folder-live".into()).spawn(move || {
+        let thread = std::thread::Builder::new().name("frames-live".into()).spawn(move || {
             let guard = OverGuard(&theirs);
-            play(reader, factor, &theirs);
+            play(footage, factor, &theirs);
             drop(guard);
         })?;
         Ok(Self { slot, thread: Some(thread) })
@@ -82,13 +82,6 @@ impl Drop for Live {
             let _ = thread.join();
         }
     }
-}
-
-/// Why the thread gave no frame.
-#[derive(Debug)]
-pub(crate) enum Failed {
-    Source(SourceError),
-    Thread,
 }
 
 impl Slot {
@@ -141,29 +134,23 @@ impl Drop for OverGuard<'_> {
     }
 }
 
-fn play(mut reader: Reader, factor: f64, slot: &Slot) {
-    let mut step = 0;
+fn play<F: Footage>(mut footage: F, factor: f64, slot: &Slot) {
     let mut start_ns = None;
     loop {
-        let mut skipped = 0;
-        if let Some(start_ns) = start_ns {
-            let elapsed_ns = (monotonic_ns().saturating_sub(start_ns) as f64 * factor) as u64;
-            let newest = reader.schedule.newest_due(step, elapsed_ns);
-            if newest > step && reader.schedule.step(step).is_some() {
-                skipped = newest - step;
-                step = newest;
-            }
-        }
-        let Some(planned) = reader.schedule.step(step) else { return };
-        let offset_ns = (planned.offset_ns as f64 / factor) as u64;
-        let read = reader.read(step);
+        let elapsed = |start_ns: u64| (monotonic_ns().saturating_sub(start_ns) as f64 * factor) as u64;
+        let skipped = start_ns.map_or(0, |start_ns| footage.skip_to(elapsed(start_ns)));
+        let Some(shot) = footage.next() else { return };
         // The recording starts when its first frame is ready.
-        let due_ns = *start_ns.get_or_insert_with(monotonic_ns) + offset_ns;
+        let start = start_ns.get_or_insert_with(monotonic_ns);
+        let lag_ns = elapsed(*start).saturating_sub(shot.offset_ns);
+        if lag_ns > F::MOST_LAG_NS {
+            *start += (lag_ns as f64 / factor) as u64;
+        }
+        let due_ns = *start + (shot.offset_ns as f64 / factor) as u64;
         if !slot.wait_until(due_ns) {
             return;
         }
-        slot.put(read.map(|frame| frame.at(CaptureTime::monotonic(due_ns))), skipped);
-        step += 1;
+        slot.put(shot.frame.map(|frame| frame.at(CaptureTime::monotonic(due_ns))), skipped);
     }
 }
 
