@@ -3,7 +3,7 @@
 
 use std::{
     hint::black_box,
-    os::unix::net::UnixDatagram,
+    os::unix::{fs::PermissionsExt, net::UnixDatagram},
     time::{Duration, Instant},
 };
 
@@ -49,10 +49,12 @@ fn polling_receive<M: Message>(subscription: &Subscription<M>) -> M {
     }
 }
 
-/// A folder on the file system of shared memory, where `/run` is one too.
-fn folder() -> tempfile::TempDir {
-    let own = std::os::unix::fs::PermissionsExt::from_mode(0o700);
-    tempfile::Builder::new().prefix("grnet").permissions(own).tempdir_in("/dev/shm").unwrap()
+/// A folder on the file system of shared memory, as `/run` is on one; as open as the access asks for.
+fn folder(access: AccessMode) -> tempfile::TempDir {
+    let folder = tempfile::Builder::new().prefix("grnet").tempdir_in("/dev/shm").unwrap();
+    let mode = if access == AccessMode::Everyone { 0o777 } else { 0o700 };
+    std::fs::set_permissions(folder.path(), PermissionsExt::from_mode(mode)).unwrap();
+    folder
 }
 
 /// Half the time of `iterations` round trips between two cameras' pose streams.
@@ -61,7 +63,7 @@ fn ping_pong(
     iterations: u64,
     receive: fn(&Subscription<PoseSample>) -> PoseSample,
 ) -> Duration {
-    let folder = folder();
+    let folder = folder(access);
     let root = Root::own(folder.path(), Some("bench_")).unwrap();
     let (ping, pong): (CameraName, CameraName) = ("ping".parse().unwrap(), "pong".parse().unwrap());
     let node = Node::open(access, &root, Role::Daemon).unwrap();
@@ -141,7 +143,7 @@ fn publish_to_receive(criterion: &mut Criterion) {
 fn publish(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("publish");
     for (kind, access) in KINDS {
-        let folder = folder();
+        let folder = folder(*access);
         let root = Root::own(folder.path(), Some("bench_")).unwrap();
         let camera = CameraName::default();
         let node = Node::open(*access, &root, Role::Daemon).unwrap();

@@ -40,51 +40,35 @@ pub enum TransportError {
     },
 
     /// The folder that decides who may take part is closed to this user.
-    #[error("{path} belongs to user {owner} and group {group} (mode {mode:04o}) and this program runs as user {user}, who may not {purpose}; {remedy}", path = .path.display())]
+    #[error("{path} {problem}; {remedy}", path = .path.display())]
     NotMember {
         /// The folder.
         path: PathBuf,
-        /// What was wanted.
-        purpose: &'static str,
-        /// Its owner, by name and number.
-        owner: String,
-        /// Its group, by name and number.
-        group: String,
-        /// Its permissions.
-        mode: u32,
-        /// This process's effective user, by name and number.
-        user: String,
+        /// Whose it is, who this process is, and what it may not do.
+        problem: String,
         /// What to do.
         remedy: String,
     },
 
     /// A folder that decides who may take part is missing, or not as it must be.
-    #[error("{path} cannot decide who may take part: {found}, and it must be a folder of user {owner}, group {group}, mode {mode:04o}; `{remedy}`", path = .path.display())]
+    #[error("{path} cannot decide who may take part: {problem}; `{remedy}`", path = .path.display())]
     WrongFolder {
         /// The folder.
         path: PathBuf,
-        /// What is wrong.
-        found: String,
-        /// Who must own it.
-        owner: String,
-        /// Which group it must belong to.
-        group: String,
-        /// Which permissions it must have.
-        mode: u32,
+        /// What is wrong, and whose it must be with which mode.
+        problem: String,
         /// The command that mends it.
         remedy: String,
     },
 
     /// The daemon is there and shares in a way that this build of the client cannot join.
-    #[error("the grnetd of {service} under {root} shares with access = \"{access}\", which this build of the client cannot join: {reason}; use the client of the daemon's own package or build (feature `group-access`: {built})", root = .root.display(), built = built())]
+    #[error("the grnetd of {service} under {root} shares in a way that this build of the client cannot join: {reason}; use the client of the daemon's own package or build (feature `group-access`: {built})", root = .root.display(), built = built())]
     OtherBuild {
         /// The service.
         service: String,
-        /// How the daemon shares.
-        access: &'static str,
         /// Where it was found.
         root: PathBuf,
-        /// What does not fit.
+        /// How the daemon shares, and what does not fit.
         reason: String,
     },
 

@@ -157,6 +157,8 @@ fn a_second_daemon_is_refused() {
 #[test]
 fn without_a_daemon_there_is_nothing_to_open() {
     let rig = Rig::new();
+    // The folders of one that was.
+    drop(rig.daemon());
     let node = rig.client();
     for error in [
         PoseSubscription::open(&node, &rig.camera).unwrap_err(),

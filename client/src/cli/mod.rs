@@ -167,7 +167,7 @@ impl ConnectionArgs {
             Some(path) => Root::own(path, self.prefix.as_deref()).map_err(grnet_client::ClientError::from)?,
             None => Root::shared(),
         };
-        Ok(Connection { camera: self.camera.clone(), root, ..Connection::default() })
+        Ok(Connection { camera: self.camera.clone(), root })
     }
 }
 

@@ -73,9 +73,8 @@ fn joinable(
     announced.versions.check(camera)?;
     let other_build = |reason: String| TransportError::OtherBuild {
         service: names::pose(camera),
-        access: announced.access.name(),
         root: folder.to_owned(),
-        reason,
+        reason: format!("access = \"{}\", and {reason}", announced.access),
     };
     let ours = cfg!(feature = "group-access");
     let stranger = announced.owner != rustix::process::geteuid().as_raw();
@@ -143,11 +142,10 @@ fn closed(folder: &Path, purpose: &'static str, access: Option<AccessMode>) -> T
     };
     TransportError::NotMember {
         path: path.to_owned(),
-        purpose,
-        owner,
-        group: group.to_string(),
-        mode,
-        user: user(me),
+        problem: format!(
+            "belongs to user {owner} and group {group} (mode {mode:04o}) and this program runs as user {}, who may not {purpose}",
+            user(me)
+        ),
         remedy,
     }
 }

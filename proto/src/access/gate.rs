@@ -219,12 +219,14 @@ impl Gate<'_> {
     fn wrong(&self, found: String) -> TransportError {
         let owner = user_argument(self.owner);
         let group = self.group.map_or_else(|| getegid().as_raw().to_string(), Group::argument);
+        let wanted = self.group.map_or_else(String::new, |group| format!(", group {group}"));
         TransportError::WrongFolder {
             path: self.folder.to_owned(),
-            found,
-            owner: user(self.owner),
-            group: self.group.map_or_else(|| "any".to_owned(), Group::to_string),
-            mode: self.mode,
+            problem: format!(
+                "{found}, and it must be a folder of user {}{wanted}, mode {:04o}",
+                user(self.owner),
+                self.mode
+            ),
             remedy: format!(
                 "sudo install -d -o {owner} -g {group} -m {:04o} {}",
                 self.mode,

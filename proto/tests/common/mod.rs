@@ -1,4 +1,5 @@
 //! A transport root of one's own per test, so that tests disturb neither each other nor a daemon.
+#![allow(dead_code)] // Every test binary uses another part.
 
 use std::path::PathBuf;
 
