@@ -156,6 +156,12 @@ fn names_that_would_break_service_names_are_refused() {
     assert!(refuse("[publish]\nroot = 'relative'", &[]).contains("it is relative"));
     assert!(refuse("[publish]\nprefix = 'a_'", &[]).contains("it needs publish.root"));
     assert!(refuse("[publish]\nroot = '/r'\nprefix = 'a/'", &[]).contains("publish.prefix = 'a/'"));
+    for key in ["group", "control_group"] {
+        let error = refuse(&format!("[publish]\n{key} = 'grnet'"), &[]);
+        assert!(error.contains("it needs publish.access = \"group\""), "{error}");
+    }
+    let error = refuse("[publish]\naccess = 'group'\ngroup = 'a:b'", &[]);
+    assert!(error.contains("publish.group = 'a:b'"), "{error}");
     let long = format!("[publish]\nroot = '/{}'", "r".repeat(60));
     assert!(refuse(&long, &[]).contains("socket names below it"));
     assert!(refuse("[log]\nlevel = 'loud'", &[]).contains("`loud` is neither a level"));

@@ -77,9 +77,12 @@ fn the_example_has_every_key_in_order_and_each_is_explained() {
 
 #[test]
 fn the_example_with_every_key_is_valid() {
-    let config = GrnetdConfig::parse(&with_optional_keys(), Path::new("grnetd.toml"), &[]).unwrap();
+    // Groups are for access by group alone.
+    let text = with_optional_keys().replace("\naccess = \"user\"\n", "\naccess = \"group\"\n");
+    let config = GrnetdConfig::parse(&text, Path::new("grnetd.toml"), &[]).unwrap();
     assert!(config.source.camera.is_some() && config.model.scene.is_some());
     assert_eq!(config.publish.prefix.as_deref(), Some("grnet_"));
+    assert_eq!(config.publish.control_group.as_deref(), Some("grnet-admin"));
 }
 
 #[test]

@@ -86,6 +86,48 @@ fn a_slow_subscriber_loses_the_oldest_and_can_tell() {
     assert!(received.windows(2).all(|pair| pair[1] == pair[0] + 1));
 }
 
+/// The folder of POSIX shared memory shows what a client did not finish; files are waited for in the same way.
+#[cfg(not(feature = "group-access"))]
+#[test]
+fn a_half_attached_client_holds_a_publication_up_by_the_configured_time_at_most() {
+    use std::{fs::Permissions, os::unix::fs::PermissionsExt};
+
+    const PREFIX: &str = "grnet_half_";
+    let rig = Rig::new();
+    let limit = Duration::from_millis(20);
+    let root = grnet_proto::Root::own(&rig.path, Some(PREFIX)).unwrap().with_creation_timeout(limit);
+    let open = |role| grnet_proto::Node::open(grnet_proto::AccessMode::User, &root, role).unwrap();
+    let (daemon, client) = (open(grnet_proto::Role::Daemon), open(grnet_proto::Role::Client));
+    let mut publisher = PosePublisher::open(&daemon, &rig.camera).unwrap();
+    let whole = PoseSubscription::open(&client, &rig.camera).unwrap();
+    publisher.publish(&rig.sample(0)).unwrap();
+
+    let connections = || {
+        let names = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+        names
+            .filter(|path| {
+                let name = path.file_name().unwrap().to_string_lossy();
+                name.starts_with(PREFIX) && name.ends_with(".connection")
+            })
+            .collect::<Vec<_>>()
+    };
+    let before = connections();
+    let _half = PoseSubscription::open(&client, &rig.camera).unwrap();
+    let halves: Vec<_> = connections().into_iter().filter(|path| !before.contains(path)).collect();
+    assert_eq!(halves.len(), 1, "the client makes the connection: {before:?}");
+    let set_mode = |mode| std::fs::set_permissions(&halves[0], Permissions::from_mode(mode)).unwrap();
+    // As it is before the client has filled it in.
+    set_mode(0o200);
+    let start = Instant::now();
+    publisher.publish(&rig.sample(1)).unwrap();
+    let held_up = start.elapsed();
+    set_mode(0o600);
+    assert!(publisher.failed_connections() > 0);
+    // iceoryx2 by itself would wait for a second.
+    assert!(held_up >= limit && held_up < Duration::from_millis(900), "{held_up:?}");
+    assert_eq!(drain(&whole), [1, 2]);
+}
+
 #[test]
 fn the_seventeenth_subscriber_is_told_so() {
     let rig = Rig::new();

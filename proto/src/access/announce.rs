@@ -65,7 +65,9 @@ impl Drop for Announcement {
 pub(super) enum Found {
     /// A daemon is there.
     Running(Box<Announced>),
-    /// There is none, or one that was killed.
+    /// There was one that was killed.
+    Ended,
+    /// Nothing tells of one.
     Nobody,
     /// This user may not look.
     Denied,
@@ -140,7 +142,7 @@ pub(super) fn read(root: &Path, camera: &CameraName) -> Found {
     match open(&file(root, camera)) {
         Ok(Some((text, owner))) => parse(&text, owner)
             .map_or_else(Found::Unreadable, |announced| Found::Running(Box::new(announced))),
-        Ok(None) => Found::Nobody,
+        Ok(None) => Found::Ended,
         Err(error) => match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Found::Nobody,
             io::ErrorKind::PermissionDenied => Found::Denied,
@@ -252,7 +254,7 @@ mod tests {
         let Found::Running(found) = read(folder.path(), &camera) else { panic!("it is locked") };
         assert_eq!(found.access, AccessMode::Group);
         drop(held);
-        assert!(matches!(read(folder.path(), &camera), Found::Nobody), "as after SIGKILL");
+        assert!(matches!(read(folder.path(), &camera), Found::Ended), "as after SIGKILL");
         fs::remove_file(&path).unwrap();
         fs::create_dir(&path).unwrap();
         assert!(matches!(read(folder.path(), &camera), Found::Unreadable(_)));

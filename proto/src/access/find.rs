@@ -26,11 +26,12 @@ pub(crate) const CHANGE: &str = "change what the daemon does";
 /// version, [`TransportError::OtherBuild`] for one that this build cannot join.
 pub fn find(camera: &CameraName, root: &Root) -> Result<(AccessMode, Root), TransportError> {
     if root.is_own() {
-        // Without an announcement the services themselves say what is missing.
-        return find_among(camera, root, &[root.path()]).or_else(|error| match error {
-            TransportError::NoDaemon { .. } => Ok((AccessMode::User, root.clone())),
-            error => Err(error),
-        });
+        let folder = root.path();
+        return match announce::read(&folder, camera) {
+            // The services themselves say what is missing.
+            Found::Nobody => Ok((AccessMode::User, root.clone())),
+            _ => find_among(camera, root, &[folder]),
+        };
     }
     let [login, temporary] = Root::private_folders();
     find_among(camera, root, &[GROUP_ROOT.into(), login, temporary, root.path()])
@@ -45,9 +46,9 @@ fn find_among(
     for folder in folders {
         match announce::read(folder, camera) {
             Found::Running(announced) => return joinable(camera, root, folder, &announced),
-            Found::Nobody => {}
+            Found::Nobody | Found::Ended => {}
             Found::Denied => {
-                obstacle = obstacle.or_else(|| Some(closed(folder, SUBSCRIBE)));
+                obstacle = obstacle.or_else(|| Some(closed(folder, SUBSCRIBE, None)));
             }
             Found::Unreadable(problem) => {
                 let path = folder.clone();
@@ -94,7 +95,7 @@ fn joinable(
             ));
         }
         (Storage::SharedMemory, AccessMode::User) if stranger => {
-            return Err(closed(folder, SUBSCRIBE));
+            return Err(closed(folder, SUBSCRIBE, Some(AccessMode::User)));
         }
         _ => {}
     }
@@ -111,7 +112,7 @@ fn joinable(
 pub(crate) fn enter(folder: &Path, purpose: &'static str) -> Result<(), TransportError> {
     match std::fs::read_dir(Root::behind(folder)) {
         Ok(_) => Ok(()),
-        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Err(closed(folder, purpose)),
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Err(closed(folder, purpose, None)),
         Err(_) => Err(TransportError::NoDaemon {
             service: "the pose stream".to_owned(),
             root: folder.display().to_string(),
@@ -119,7 +120,8 @@ pub(crate) fn enter(folder: &Path, purpose: &'static str) -> Result<(), Transpor
     }
 }
 
-fn closed(folder: &Path, purpose: &'static str) -> TransportError {
+/// What keeps this user out of `folder`; `access` is how its daemon shares, where that is known.
+fn closed(folder: &Path, purpose: &'static str, access: Option<AccessMode>) -> TransportError {
     let me = rustix::process::geteuid().as_raw();
     // The innermost part of the path that can be seen is the one that is closed.
     let seen = folder.ancestors().find_map(|path| Some((path, std::fs::symlink_metadata(path).ok()?)));
@@ -129,7 +131,10 @@ fn closed(folder: &Path, purpose: &'static str) -> TransportError {
     let (owner, group) = (user(metadata.uid()), Group::of_id(metadata.gid()));
     let mode = metadata.mode() & 0o7777;
     // iceoryx2's own folders look alike, and their group decides nothing.
-    let by_group = purpose == CHANGE || mode & 0o2000 != 0 || folder == Path::new(GROUP_ROOT);
+    let by_group = access.map_or_else(
+        || purpose == CHANGE || mode & 0o2000 != 0 || folder == Path::new(GROUP_ROOT),
+        |access| access == AccessMode::Group,
+    );
     let remedy = if by_group {
         let (group, me) = (group.argument(), user_argument(me));
         format!("`sudo usermod -aG {group} {me}` and a new login make a member")
@@ -162,11 +167,11 @@ mod tests {
 
     #[test]
     fn a_closed_folder_is_named_with_its_owner_group_mode_and_remedy() {
-        let error = closed(Path::new("/"), CHANGE).to_string();
+        let error = closed(Path::new("/"), CHANGE, None).to_string();
         for part in ["/ belongs to user root (0) and group root (0)", "mode 0755", "usermod -aG root"] {
             assert!(error.contains(part), "{error}");
         }
-        let error = closed(Path::new("/"), SUBSCRIBE).to_string();
+        let error = closed(Path::new("/"), SUBSCRIBE, None).to_string();
         assert!(error.contains("run as user root (0)"), "{error}");
     }
 }

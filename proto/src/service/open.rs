@@ -171,16 +171,18 @@ pub(super) fn schema_mismatch<S: Service>(
 /// The process lacks a right; says on what if the root tells.
 pub(super) fn permission_attempt(node: &Node, error: impl Debug) -> Attempt {
     let root = node.root();
-    let foreign = match root.storage(node.access()) {
-        Storage::SharedMemory => root.foreign_owner(),
-        Storage::Files => None,
-    };
-    Attempt::Failed(foreign.unwrap_or_else(|| TransportError::UnusableRoot {
-        path: root.path(),
-        problem: format!(
-            "this user lacks the right to use the service files there ({error:?}); run as the daemon's user"
-        ),
-    }))
+    match root.storage(node.access()) {
+        // Behind a gate that was passed: the other side is about to open what it has just made.
+        Storage::Files => Attempt::Again(format!("{error:?}")),
+        Storage::SharedMemory => {
+            Attempt::Failed(root.foreign_owner().unwrap_or_else(|| TransportError::UnusableRoot {
+                path: root.path(),
+                problem: format!(
+                    "this user lacks the right to use the service files there ({error:?}); run as the daemon's user"
+                ),
+            }))
+        }
+    }
 }
 
 fn describe(types: impl Iterator<Item = (String, usize)>) -> String {
