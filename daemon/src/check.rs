@@ -71,6 +71,9 @@ fn describe(
     for refusal in refusals {
         line("", format!("REFUSED: {refusal}"));
     }
+    if let Some(advice) = realtime.advice() {
+        line("note", advice);
+    }
     for note in parts.source_notes.iter().chain(&info.notes) {
         line("note", note.clone());
     }

@@ -101,6 +101,20 @@ impl Realtime {
         parts.join(", ")
     }
 
+    /// What a user should know about the settings as they are.
+    pub fn advice(&self) -> Option<String> {
+        let worker = self.config.worker_priority?;
+        let below =
+            [Part::Capture, Part::Publish].into_iter().filter(|part| self.priority(*part) < Some(worker));
+        let below: Vec<String> = below.map(|part| part.to_string()).collect();
+        (!below.is_empty()).then(|| {
+            format!(
+                "realtime.worker_priority is above that of {}: where CPUs are few, they wait until the worker rests",
+                below.join(" and ")
+            )
+        })
+    }
+
     fn priority(&self, part: Part) -> Option<u8> {
         match part {
             Part::Capture => self.config.capture_priority,
@@ -303,6 +317,18 @@ mod tests {
         })
         .join()
         .unwrap();
+    }
+
+    #[test]
+    fn a_worker_above_the_others_is_advised_against() {
+        let advice = |capture_priority, worker_priority, publish_priority| {
+            let config =
+                RealtimeConfig { capture_priority, worker_priority, publish_priority, ..Default::default() };
+            Realtime { config }.advice()
+        };
+        assert!(advice(None, Some(1), Some(1)).is_some_and(|text| text.contains("of capture:")));
+        assert!(advice(None, Some(9), Some(8)).is_some_and(|text| text.contains("capture and publish")));
+        assert_eq!((advice(Some(5), Some(5), Some(6)), advice(Some(5), None, None)), (None, None));
     }
 
     #[test]

@@ -56,6 +56,9 @@ pub fn run(loaded: Loaded, log: &LogHandle) -> Result<(), Failure> {
     tracing::info!(version = grnet_proto::PACKAGE_VERSION, config = %loaded.path.display(), "starting");
     if !realtime.describe().is_empty() {
         tracing::info!(settings = realtime.describe(), refused = refusals.len(), "real-time");
+        if let Some(advice) = realtime.advice() {
+            tracing::warn!("{advice}");
+        }
     }
     manager.status("loading the model");
     let Some(parts) = prepare(&loaded.config, &signals)? else { return Ok(()) };

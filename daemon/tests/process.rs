@@ -280,6 +280,11 @@ fn scenes_change_while_frames_flow_and_unfit_ones_change_nothing() {
     let (outcome, message, status) = call(Command::LOAD_SCENE, &rig.path("stranger.safetensors"));
     assert!(outcome == Outcome::FAILED && message.contains("stranger.safetensors"), "{message}");
     assert_eq!((status.model_hash, status.loaded_scenes().len()), (before, 1));
+    rig.save_misshapen_scene("misshapen.safetensors", 1, "misshapen");
+    let (outcome, message, status) = call(Command::LOAD_SCENE, &rig.path("misshapen.safetensors"));
+    assert!(outcome == Outcome::FAILED && message.contains("misshapen.safetensors"), "{message}");
+    assert!(message.contains("differ in"), "{message}");
+    assert_eq!((status.model_hash, status.loaded_scenes().len()), (before, 1));
     assert_eq!(call(Command::LOAD_SCENE, "relative.safetensors").0, Outcome::INVALID);
     assert_eq!(call(Command::SELECT_SCENE, "other").0, Outcome::REFUSED);
 

@@ -60,7 +60,7 @@ fn every_subcommand_has_a_page_that_man_accepts() {
         }
     }
     let client = accepts(&["groff", "-man", "-Tutf8", "-P-cbou"], &folder.path().join("man/grnet-client.1"));
-    assert!(client.contains("EXIT STATUS") && client.contains("69 no daemon"), "{client}");
+    assert!(client.contains("EXIT STATUS") && client.contains("77 no permission"), "{client}");
 }
 
 #[test]

@@ -385,7 +385,9 @@ class ControlRequest(ctypes.Structure):
         ("map_from_base_translation_m", ctypes.c_double * 3),
         ("map_from_base_quaternion_xyzw", ctypes.c_double * 4),
         ("text", ctypes.c_uint8 * 1024),
-        ("reserved", ctypes.c_uint64 * 7),
+        ("translation_stddev_m", ctypes.c_double),
+        ("rotation_stddev_rad", ctypes.c_double),
+        ("reserved", ctypes.c_uint64 * 5),
     ]
 
     @staticmethod
@@ -401,7 +403,9 @@ assert ControlRequest.request_id.offset == 8
 assert ControlRequest.map_from_base_translation_m.offset == 16
 assert ControlRequest.map_from_base_quaternion_xyzw.offset == 40
 assert ControlRequest.text.offset == 72
-assert ControlRequest.reserved.offset == 1096
+assert ControlRequest.translation_stddev_m.offset == 1096
+assert ControlRequest.rotation_stddev_rad.offset == 1104
+assert ControlRequest.reserved.offset == 1112
 
 
 class ControlReply(ctypes.Structure):

@@ -94,8 +94,25 @@ impl Rig {
 
     /// A scene on the trunk of `trunk_seed` whose own weights are those of `scene_seed`.
     pub fn save_scene(&self, file: &str, trunk_seed: u64, scene_seed: u64, name: &str) {
+        self.save_scene_of(&network(), file, trunk_seed, scene_seed, name);
+    }
+
+    /// The same with heads of another shape, which says that it belongs to that trunk nevertheless.
+    pub fn save_misshapen_scene(&self, file: &str, trunk_seed: u64, name: &str) {
+        self.save_scene_of(&NetworkConfig { lstm_hidden: 24, ..network() }, file, trunk_seed, 1, name);
+    }
+
+    fn save_scene_of(
+        &self,
+        network: &NetworkConfig,
+        file: &str,
+        trunk_seed: u64,
+        scene_seed: u64,
+        name: &str,
+    ) {
         let (trunk, _) = checkpoint(trunk_seed).split().unwrap();
-        let (_, scene) = checkpoint(scene_seed).split().unwrap();
+        let (_, scene) =
+            untrained::checkpoint(network, scene_seed, Preprocessing::default()).unwrap().split().unwrap();
         let trunk_hash = trunk.content_hash().to_owned();
         let scene = scene
             .with_metadata(|metadata| {
