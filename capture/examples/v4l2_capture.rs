@@ -164,12 +164,13 @@ fn capture(asked: &Asked) -> Result<(), Failure> {
     }
     let fps = seen.rate_hz();
     let cpu_ms = cpu_ms().unwrap_or(f64::NAN) / seen.frames as f64;
-    let Seen { frames, bad, skipped, oldest_ms, changed, age_sum_ms, .. } = seen;
+    let Seen { frames, bad, skipped, oldest_ms, changed, age_sum_ms, youngest_ms, .. } = seen;
+    let late_ms = age_sum_ms / frames as f64 - youngest_ms;
     println!(
         "done frames={frames} bad={bad} dropped={} skipped={skipped} oldest_ms={oldest_ms:.1} changed={changed} \
-         fps={fps:.2} mean_age_ms={:.2} cpu_ms={cpu_ms:.2}",
+         fps={fps:.2} late_ms={late_ms:.2} ahead_ms={:.2} cpu_ms={cpu_ms:.2}",
         source.dropped_frames(),
-        age_sum_ms / frames as f64
+        -youngest_ms
     );
     Ok(())
 }
@@ -193,6 +194,8 @@ struct Seen {
     /// Largest distance between the time of capture and now.
     oldest_ms: f64,
     age_sum_ms: f64,
+    /// Least distance from the time of capture to now; negative for a stamp that lies ahead.
+    youngest_ms: f64,
     first_ns: Option<u64>,
     last_sum: u64,
     /// Frames whose pixels differ from those of the frame before.
@@ -223,6 +226,7 @@ impl Seen {
         let age_ms = (monotonic_ns() as i128 - i128::from(ns)) as f64 / 1e6;
         self.oldest_ms = self.oldest_ms.max(age_ms.abs());
         self.age_sum_ms += age_ms;
+        self.youngest_ms = if self.first_ns.is_none() { age_ms } else { self.youngest_ms.min(age_ms) };
         self.first_ns.get_or_insert(ns);
         let sum =
             data.iter().step_by(7).fold(0u64, |sum, &byte| sum.wrapping_mul(31).wrapping_add(byte.into()));

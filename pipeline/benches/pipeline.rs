@@ -48,7 +48,8 @@ fn preprocess(c: &mut Criterion) {
         ("yuyv", frame(PixelFormat::Yuyv, yuyv, 0), None),
         ("nv12", frame(PixelFormat::Nv12, rgb()[..(SIZE.0 * SIZE.1 * 3 / 2) as usize].to_vec(), 0), None),
         ("jpeg", frame(PixelFormat::Jpeg, jpeg(), 0), None),
-        ("rgb_undistorted", frame(PixelFormat::Rgb8, rgb(), 0), fisheye.ok()),
+        ("rgb_undistorted", frame(PixelFormat::Rgb8, rgb(), 0), fisheye.clone().ok()),
+        ("jpeg_undistorted", frame(PixelFormat::Jpeg, jpeg(), 0), fisheye.ok()),
     ];
     let mut group = c.benchmark_group("preprocess_640x480_to_224x224");
     for (name, frame, camera) in cases {

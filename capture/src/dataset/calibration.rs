@@ -71,6 +71,9 @@ struct Document<'a> {
 
 type Node<'a> = &'a MarkedYaml<'a>;
 
+/// A number for each axis of the image.
+type Pair = (f64, f64);
+
 impl<'a> Document<'a> {
     fn ros(&self) -> Result<Calibration, DatasetError> {
         let size_px = self.size()?;
@@ -231,7 +234,7 @@ impl<'a> Document<'a> {
     }
 
     /// Nine numbers: fx 0 cx / 0 fy cy / 0 0 1.
-    fn matrix(&self, node: Node<'a>) -> Result<((f64, f64), (f64, f64)), DatasetError> {
+    fn matrix(&self, node: Node<'a>) -> Result<(Pair, Pair), DatasetError> {
         let expected = "a camera matrix of nine numbers: fx 0 cx, 0 fy cy, 0 0 1";
         let [fx, skew, cx, a, fy, cy, b, c, one] = self.reader.numbers::<9>(node, expected)?;
         if skew.abs() > 1e-6 * fx.abs() || [a, b, c] != [0.0; 3] || one != 1.0 {

@@ -147,9 +147,10 @@ fn a_kalibr_chain_gives_the_camera_that_is_asked_for() {
 #[test]
 fn opencv_storage_is_read() {
     let camera = named(OPENCV, None).unwrap().camera;
-    assert_eq!((camera.size_px(), camera.focal_px().0), ((640, 480), 535.91573396163199));
+    assert_eq!(camera.size_px(), (640, 480));
+    assert!((camera.focal_px().0 - 535.915_733_961_63).abs() < 1e-9);
     let Distortion::PlumbBob([k1, .., k3]) = camera.distortion() else { panic!("{camera:?}") };
-    assert_eq!((k1, k3), (-0.26637260909660682, 0.23839153080878486));
+    assert!((k1 + 0.266_372_609_096).abs() < 1e-9 && (k3 - 0.238_391_530_808).abs() < 1e-9);
     let fisheye = OPENCV
         .replace("image_width", "fisheye_model: 1\nimage_width")
         .replace("-2.8122100441115472e-04,\n       2.3839153080878486e-01 ]", "-2.8122100441115472e-04 ]");

@@ -105,18 +105,8 @@ impl Remap {
         split(source, &mut self.planes);
         view.resize(self.windows.len() * 3, 0);
         let width = self.source_px.0 as usize;
-        let [red, green, blue] = &self.planes;
         for (window, rgb) in self.windows.iter().zip(view.chunks_exact_mut(3)) {
-            let columns = usize::from(window.columns);
-            let weights = &self.weights[window.weights as usize..][..columns * usize::from(window.rows)];
-            let mut sums = [0i32; 3];
-            for (row, weights) in weights.chunks_exact(columns).enumerate() {
-                let start = window.start as usize + row * width;
-                let plane = |plane: &[u8]| dot(&plane[start..][..columns], weights);
-                sums[0] += plane(red);
-                sums[1] += plane(green);
-                sums[2] += plane(blue);
-            }
+            let sums = window.sums(&self.planes, width, &self.weights);
             for (byte, sum) in rgb.iter_mut().zip(sums) {
                 *byte = ((sum + (1 << 13)) >> 14).clamp(0, 255) as u8;
             }
@@ -124,17 +114,34 @@ impl Remap {
     }
 }
 
-fn dot(pixels: &[u8], weights: &[i16]) -> i32 {
-    let mut sum = 0i32;
-    for (pixels, weights) in pixels.chunks_exact(LANES).zip(weights.chunks_exact(LANES)) {
-        let mut part = 0i32;
-        for lane in 0..LANES {
-            // At most 255 * 2^14 in all: nothing wraps.
-            part = part.wrapping_add(i32::from(pixels[lane]).wrapping_mul(i32::from(weights[lane])));
+impl Window {
+    /// The weighted sums of red, green and blue.
+    fn sums(self, planes: &[Vec<u8>; 3], width: usize, weights: &[i16]) -> [i32; 3] {
+        let columns = usize::from(self.columns);
+        let weights = &weights[self.weights as usize..][..columns * usize::from(self.rows)];
+        let mut sums = [0i32; 3];
+        for (row, weights) in weights.chunks_exact(columns).enumerate() {
+            let row_start = self.start as usize + row * width;
+            for (chunk, weights) in weights.as_chunks::<LANES>().0.iter().enumerate() {
+                let start = row_start + chunk * LANES;
+                for (sum, plane) in sums.iter_mut().zip(planes) {
+                    // A window lies inside the source, so that it always has its pixels.
+                    if let Some(pixels) = plane.get(start..).and_then(|rest| rest.first_chunk()) {
+                        *sum = sum.wrapping_add(dot(pixels, weights));
+                    }
+                }
+            }
         }
-        sum = sum.wrapping_add(part);
+        sums
     }
-    sum
+}
+
+/// Arrays of known length, so that it becomes a few vector instructions; at most 255 * 2^14, so that nothing wraps.
+#[inline]
+fn dot(pixels: &[u8; LANES], weights: &[i16; LANES]) -> i32 {
+    let products =
+        pixels.iter().zip(weights).map(|(&pixel, &weight)| i32::from(pixel).wrapping_mul(weight.into()));
+    products.fold(0, i32::wrapping_add)
 }
 
 /// Packed RGB to one plane for each colour.
