@@ -172,8 +172,10 @@ impl Span {
 /// How the resizer weights `length` pixels from `start` into `count`: a triangle of twice, or a box of once, the width
 /// of a resized pixel, at least of a source pixel.
 fn spans(start: f64, length: f64, count: u32, source: u32, filter: Filter) -> Vec<Span> {
-    let scale = length / f64::from(count);
+    // To the last bit as `fast_image_resize` does it: where a pixel lies on the edge of a box, that decides.
+    let scale = ((start + length) - start) / f64::from(count);
     let stretch = scale.max(1.0);
+    let per_stretch = 1.0 / stretch;
     let (half, weight): (f64, fn(f64) -> f64) = match filter {
         Filter::Bilinear => (1.0, |x| (1.0 - x.abs()).max(0.0)),
         Filter::Area => (0.5, |x| if x > -0.5 && x <= 0.5 { 1.0 } else { 0.0 }),
@@ -185,7 +187,7 @@ fn spans(start: f64, length: f64, count: u32, source: u32, filter: Filter) -> Ve
             let first = (centre - reach).floor().clamp(0.0, f64::from(source - 1)) as u32;
             let end = (centre + reach).ceil().clamp(f64::from(first + 1), f64::from(source)) as u32;
             let weights: Vec<f64> =
-                (first..end).map(|pixel| weight((f64::from(pixel) + 0.5 - centre) / stretch)).collect();
+                (first..end).map(|pixel| weight((f64::from(pixel) - (centre - 0.5)) * per_stretch)).collect();
             let sum: f64 = weights.iter().sum();
             Span { first, weights: weights.into_iter().map(|weight| (weight / sum) as f32).collect() }
         })
