@@ -1,7 +1,5 @@
 //! `grnetd` with a video file and with calibration files, against the same frames from a folder.
 
-// Each test program uses its own part of it.
-#[allow(dead_code)]
 mod rig;
 
 use std::process::Command;
