@@ -34,9 +34,9 @@ impl Default for FolderOptions {
 
 /// A recording being played.
 ///
-/// * [`Pace::Max`] is [`SourceKind::OnDemand`]: frames carry the recorded times, a few are decoded ahead by a
+/// * [`Pace::Max`] is [`SourceKind::OnDemand`](grnet_frame::SourceKind::OnDemand): frames carry the recorded times, a few are decoded ahead by a
 ///   thread, none is dropped.
-/// * [`Pace::Realtime`] and [`Pace::Factor`] are [`SourceKind::Live`] and behave like a camera: the first call
+/// * [`Pace::Realtime`] and [`Pace::Factor`] are [`SourceKind::Live`](grnet_frame::SourceKind::Live) and behave like a camera: the first call
 ///   of `next_frame` starts the recording (once its first frame is decoded), frames come when they are due,
 ///   each is stamped with its due moment on `CLOCK_MONOTONIC`, and one that is not fetched before the next is
 ///   due is replaced by it and counted as dropped. A thread decodes ahead, so that decoding delays nothing; when
