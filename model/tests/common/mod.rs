@@ -27,7 +27,7 @@ impl Place {
     /// The first NVIDIA GPU.
     #[cfg(feature = "cuda")]
     pub fn gpu() -> Self {
-        Self { operators: Operators::Portable, device: Device::new_cuda(0).unwrap() }
+        Self { operators: Operators::Portable, device: grnet_model::device::cuda(0).unwrap() }
     }
 }
 

@@ -45,7 +45,7 @@ pub fn pack(
     for (name, var) in homoscedastic.into_iter().flat_map(Homoscedastic::vars) {
         tensors.insert(name, values(var.as_tensor())?);
     }
-    let AdamState { moments, steps } = adam.state();
+    let AdamState { moments, steps } = adam.state()?;
     let mut numbers = BTreeMap::from([
         (OPTIMIZER_STEPS.to_owned(), steps.into()),
         (STAGE_STEP.to_owned(), at.stage_step.into()),
@@ -97,7 +97,7 @@ pub fn restore_weights(
 /// When the state has no moments of a parameter.
 pub fn restore_adam(state: &State, adam: &mut Adam) -> Result<(), TrainError> {
     let mut moments = BTreeMap::new();
-    for name in adam.state().moments.into_keys() {
+    for name in adam.lengths().into_keys() {
         let find = |kind: &str| {
             let key = format!("{kind}{name}");
             state.tensors.get(&key).map(|stored| stored.values.clone()).ok_or(TrainError::State { what: key })

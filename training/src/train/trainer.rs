@@ -154,7 +154,7 @@ impl<'a> Trainer<'a> {
             };
             let objective = self.objective(stage);
             let Gradient { loss, parts, grads, statistics } =
-                gradient(&replicas, &objective, &input, &world_from_camera, &trained)?;
+                gradient(&replicas, &objective, &input.to_device(&self.device)?, &world_from_camera, &trained)?;
             let lr = stage.schedule().at(self.at.stage_step);
             let norm = match &grads {
                 Some(grads) => adam.step(grads, lr, stage.max_norm())?.grad_norm,
@@ -211,7 +211,9 @@ impl<'a> Trainer<'a> {
         let config = self.parameters.config();
         let branches = self.objective(stage).branches(config);
         let config = grnet_model::NetworkConfig { branches, ..config.clone() };
-        let count = rayon::current_num_threads().min(stage.batch);
+        // A GPU computes the whole batch at once.
+        let cores = if self.device.is_cpu() { rayon::current_num_threads() } else { 1 };
+        let count = cores.min(stage.batch);
         let copy = |_| {
             let statistics = (!stage.freeze_batch_norm).then(BatchStatistics::default);
             let vb = self.parameters.var_builder(&stage.train, &self.device);
