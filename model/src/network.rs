@@ -11,11 +11,11 @@ use crate::config::{ConfigError, NetworkConfig};
 use crate::fcfl::Fcfl;
 use crate::heads::{HeadOutput, HeadTensors};
 use crate::metadata::{HeadState, Heads};
+use crate::ops::Operators;
 use crate::rcnn1::Rcnn1;
 use crate::rcnn2::Rcnn2;
 use crate::recurrence::Memory;
 use crate::resnet::Training;
-use crate::ops::Operators;
 use crate::statistics::BatchStatistics;
 
 /// Why a network could not be built or run.

@@ -344,8 +344,7 @@ mod tests {
         for n in [1, 3] {
             let x = tensor(&[n, 6, 5, 7], 1);
             let weight = tensor(&[4, 6, 1, 1], 2);
-            let ours =
-                Convolution { weight: weight.clone(), stride: 1, training: None }.forward(&x).unwrap();
+            let ours = Convolution { weight: weight.clone(), stride: 1, training: None }.forward(&x).unwrap();
             let theirs = x.conv2d(&weight, 0, 1, 1, 1).unwrap();
             let difference = (ours - theirs).unwrap().abs().unwrap().max_all().unwrap();
             assert!(difference.to_dtype(DType::F32).unwrap().to_scalar::<f32>().unwrap() < 1e-5);

@@ -5,12 +5,12 @@ mod common;
 
 use std::collections::BTreeMap;
 
-use candle_core::{Device, Tensor, Var, backprop::GradStore};
+use candle_core::{Tensor, Var, backprop::GradStore};
 use common::golden::Golden;
 use common::{Place, difference, places, uniform, values};
 use grnet_model::candle_core;
 use grnet_model::ops::{
-    Activation, Adam, AdamError, AdamOptions, AdamParam, AdamState, ChannelMoments, ScaleShift, StepReport, conv2d,
+    Activation, Adam, AdamError, AdamOptions, AdamParam, AdamState, ChannelMoments, ScaleShift, StepReport,
 };
 
 const SAMPLES: usize = 64;
@@ -158,7 +158,8 @@ fn only_tracked_inputs_of_a_convolution_get_a_gradient() {
 
 fn only_tracked(place: &Place) {
     let conv2d = |x: &Tensor, weight: &Tensor| place.conv2d(x, weight, 1);
-    let (x, weight) = (place.input("x", &[2, 3, 5, 5], -1.0, 1.0), place.input("w", &[4, 3, 3, 3], -1.0, 1.0));
+    let (x, weight) =
+        (place.input("x", &[2, 3, 5, 5], -1.0, 1.0), place.input("w", &[4, 3, 3, 3], -1.0, 1.0));
     let image_only = conv2d(&x, &weight.detach()).backward().unwrap();
     assert!(image_only.get(&x).is_some() && image_only.get(&weight).is_none());
     let weights_only = conv2d(&x.detach(), &weight).backward().unwrap();
@@ -179,8 +180,9 @@ fn batch_norms_equal_pytorch(place: &Place) {
             for (activation, label) in [(Activation::None, "none"), (Activation::Elu, "elu")] {
                 let case = format!("bn.{mode}.{}.{label}", if with_residual { "residual" } else { "plain" });
                 let shape = [3, 5, 7, 6];
-                let made =
-                    |key: &str, shape: &[usize], low, high| place.input(&format!("{case}.{key}"), shape, low, high);
+                let made = |key: &str, shape: &[usize], low, high| {
+                    place.input(&format!("{case}.{key}"), shape, low, high)
+                };
                 let x = made("x", &shape, -1.0, 3.0);
                 let (weight, bias) = (made("weight", &[5], -1.0, 1.0), made("bias", &[5], -1.0, 1.0));
                 let residual = with_residual.then(|| made("residual", &shape, -1.0, 1.0));

@@ -197,7 +197,9 @@ fn bits(threads: usize) -> BTreeMap<String, Vec<u32>> {
         all.extend(
             case.vars.iter().map(|(name, var)| (name.clone(), bits(&values(gradients.get(var).unwrap())))),
         );
-        all.extend(case.statistics.take().into_iter().map(|s| (format!("{}.mean", s.layer), bits(&values(&s.mean)))));
+        all.extend(
+            case.statistics.take().into_iter().map(|s| (format!("{}.mean", s.layer), bits(&values(&s.mean)))),
+        );
         all
     })
 }
@@ -222,9 +224,8 @@ fn steps_on_a_gpu_are_those_of_the_cpu() {
     let config = NetworkConfig { width: 0.25, ..tiny() };
     let train = |place: &Place| {
         let case = Case::new(&config, |_| true, place);
-        let param = |(name, var): (&String, &Var)| {
-            (name.clone(), AdamParam { var: var.clone(), lr_multiplier: 1.0 })
-        };
+        let param =
+            |(name, var): (&String, &Var)| (name.clone(), AdamParam { var: var.clone(), lr_multiplier: 1.0 });
         let params = case.vars.iter().map(param).collect();
         let mut adam = Adam::with_operators(params, AdamOptions::default(), place.operators).unwrap();
         let images = images(&config).to_device(&place.device).unwrap();
@@ -249,7 +250,8 @@ fn steps_on_a_gpu_are_those_of_the_cpu() {
 #[ignore = "needs an NVIDIA GPU"]
 fn the_whole_network_gives_the_same_poses_on_a_gpu() {
     let config = NetworkConfig::grnet();
-    let images = Tensor::cat(&[frame_for(&config, 0), frame_for(&config, 1)], 0).unwrap().unsqueeze(0).unwrap();
+    let images =
+        Tensor::cat(&[frame_for(&config, 0), frame_for(&config, 1)], 0).unwrap().unsqueeze(0).unwrap();
     let on = |device: &Device, training: bool| {
         let weights = weights(&config).into_iter().map(|(n, t)| (n, t.to_device(device).unwrap())).collect();
         let vb = VarBuilder::from_tensors(weights, DType::F32, device);

@@ -152,7 +152,10 @@ impl Adam {
         };
         for (name, AdamParam { var, .. }) in &params {
             let tensor = var.as_tensor();
-            if !tensor.device().same_device(&device) || tensor.dtype() != DType::F32 || !tensor.is_contiguous() {
+            if !tensor.device().same_device(&device)
+                || tensor.dtype() != DType::F32
+                || !tensor.is_contiguous()
+            {
                 bail!("Adam trains contiguous f32 variables on {device:?}; `{name}` is {tensor:?}")
             }
         }
@@ -265,11 +268,7 @@ fn step_on_cpu(
     for (name, (param, moments)) in params {
         let Some(gradient) = grads.get(&param.var) else { continue };
         if gradient.dims() != param.var.dims() {
-            bail!(
-                "the gradient of `{name}` is {:?}, the parameter {:?}",
-                gradient.dims(),
-                param.var.dims()
-            );
+            bail!("the gradient of `{name}` is {:?}, the parameter {:?}", gradient.dims(), param.var.dims());
         }
         updates.push((&*param, moments, gradient.contiguous()?));
     }

@@ -153,8 +153,13 @@ impl<'a> Trainer<'a> {
                 }
             };
             let objective = self.objective(stage);
-            let Gradient { loss, parts, grads, statistics } =
-                gradient(&replicas, &objective, &input.to_device(&self.device)?, &world_from_camera, &trained)?;
+            let Gradient { loss, parts, grads, statistics } = gradient(
+                &replicas,
+                &objective,
+                &input.to_device(&self.device)?,
+                &world_from_camera,
+                &trained,
+            )?;
             let lr = stage.schedule().at(self.at.stage_step);
             let norm = match &grads {
                 Some(grads) => adam.step(grads, lr, stage.max_norm())?.grad_norm,

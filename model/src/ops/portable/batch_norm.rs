@@ -29,8 +29,7 @@ pub(in crate::ops) fn batch_norm(
     let inverse_std = (&variance + BATCH_NORM_EPS)?.sqrt()?.recip()?;
     let scale = (column(affine.weight)? * &inverse_std)?;
     let y = centred.broadcast_mul(&scale)?.broadcast_add(&column(affine.bias)?)?;
-    let moments =
-        ChannelMoments { mean: mean.flatten_all()?, variance: variance.flatten_all()?, count };
+    let moments = ChannelMoments { mean: mean.flatten_all()?, variance: variance.flatten_all()?, count };
     let op = BatchNorm { mean, inverse_std, of_batch: true, activation };
     Ok((op.finish(x, y, affine, residual)?, moments))
 }

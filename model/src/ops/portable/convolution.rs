@@ -65,8 +65,7 @@ impl Convolution {
         let padded = self.taps.pad(&dy.reshape((g.outputs * g.images, g.height, g.width))?, 0.0)?;
         let views = (0..self.taps.count()).rev().map(|tap| self.taps.view(&padded, tap));
         let columns = Tensor::cat(&views.collect::<Result<Vec<_>>>()?, 0)?; // (k k outputs N, H, W)
-        let columns =
-            columns.contiguous()?.reshape((self.taps.count() * g.outputs, g.images * g.map()))?;
+        let columns = columns.contiguous()?.reshape((self.taps.count() * g.outputs, g.images * g.map()))?;
         let weight = weight.reshape((g.outputs, g.inputs, self.taps.count()))?;
         let weight = weight.permute((1, 2, 0))?.contiguous()?; // (C, k k, outputs)
         let dx = weight.reshape((g.inputs, ()))?.matmul(&columns)?;
@@ -87,7 +86,8 @@ impl Gradient<2> for Convolution {
 
     fn gradient(&self, [x, weight]: [&Tensor; 2], _: &Tensor, dy: &Tensor) -> Result<[Option<Tensor>; 2]> {
         let dx = x.track_op().then(|| self.input_gradient(&weight.detach(), dy)).transpose()?;
-        let dw = weight.track_op().then(|| self.weight_gradient(&x.detach().contiguous()?, dy)).transpose()?;
+        let dw =
+            weight.track_op().then(|| self.weight_gradient(&x.detach().contiguous()?, dy)).transpose()?;
         Ok([dx, dw])
     }
 }

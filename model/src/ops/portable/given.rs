@@ -27,11 +27,7 @@ pub(super) fn attach2<G: Gradient<2>>(a: &Tensor, b: &Tensor, y: Tensor, gradien
 }
 
 /// As [`attach1`] for three inputs.
-pub(super) fn attach3<G: Gradient<3>>(
-    [a, b, c]: [&Tensor; 3],
-    y: Tensor,
-    gradient: G,
-) -> Result<Tensor> {
+pub(super) fn attach3<G: Gradient<3>>([a, b, c]: [&Tensor; 3], y: Tensor, gradient: G) -> Result<Tensor> {
     let tracked = a.track_op() || b.track_op() || c.track_op();
     if tracked { a.apply_op3(b, c, Given::new(y, gradient)?) } else { Ok(y) }
 }
@@ -114,7 +110,13 @@ impl<G: Gradient<2>> CustomOp2 for Given<G> {
         self.on_cuda(G::NAME)
     }
 
-    fn bwd(&self, a: &Tensor, b: &Tensor, y: &Tensor, dy: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
+    fn bwd(
+        &self,
+        a: &Tensor,
+        b: &Tensor,
+        y: &Tensor,
+        dy: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let [da, db] = self.gradient.gradient([a, b], y, &dy.contiguous()?)?;
         Ok((da, db))
     }

@@ -35,8 +35,7 @@ impl Gradient<1> for MaxPool {
     fn gradient(&self, [x]: [&Tensor; 1], y: &Tensor, dy: &Tensor) -> Result<[Option<Tensor>; 1]> {
         let padded = self.padded(&x.detach())?;
         let (maps, (rows, columns)) = (padded.dim(0)?, self.taps.out());
-        let (y, mut left) =
-            (y.detach().reshape((maps, rows, columns))?, dy.reshape((maps, rows, columns))?);
+        let (y, mut left) = (y.detach().reshape((maps, rows, columns))?, dy.reshape((maps, rows, columns))?);
         let mut by_tap = Vec::with_capacity(self.taps.count());
         for tap in 0..self.taps.count() {
             // The first of equal maxima takes all of the gradient.

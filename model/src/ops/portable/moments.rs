@@ -103,7 +103,11 @@ impl FlatMoments {
                 let var = &self.params[name].var;
                 let Some(gradient) = grads.get(var) else { continue };
                 if gradient.dims() != var.dims() {
-                    bail!("the gradient of `{name}` is {:?}, the parameter {:?}", gradient.dims(), var.dims());
+                    bail!(
+                        "the gradient of `{name}` is {:?}, the parameter {:?}",
+                        gradient.dims(),
+                        var.dims()
+                    );
                 }
                 parts.push(gradient.detach().contiguous()?.flatten_all()?);
             }
