@@ -62,7 +62,13 @@ fn train(folder: &Path, name: &str, more: &[&str]) -> Output {
     let recipe = folder.join("recipe.toml");
     std::fs::write(&recipe, RECIPE).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_grnet-train"));
-    command.stdin(Stdio::null()).arg("train").arg("--config").arg(&recipe).arg("--out").arg(folder.join(name));
+    command
+        .stdin(Stdio::null())
+        .arg("train")
+        .arg("--config")
+        .arg(&recipe)
+        .arg("--out")
+        .arg(folder.join(name));
     command.args(more).output().unwrap()
 }
 
