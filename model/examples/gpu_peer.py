@@ -10,7 +10,7 @@ import torch
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 from training_peer import K, PRESETS, Network  # noqa: E402
 
-ROUNDS, WARM_UP = 10, 3
+ROUNDS, WARM_UP = 7, 2
 
 
 def median_ms(work):

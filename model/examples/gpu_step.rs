@@ -1,7 +1,7 @@
 //! Times training and streaming steps on an NVIDIA GPU: `gpu_step PRESET [operators|WINDOWS...]`; `scripts/bench-cuda` runs it
 //! beside PyTorch.
 //!
-//! Each line is "what, PRESET, windows, precision, milliseconds (median of ten), frames/s, MiB of GPU memory in use". A training
+//! Each line is "what, PRESET, windows, precision, milliseconds (median of seven), frames/s, MiB of GPU memory in use". A training
 //! step is forward, backward and Adam over windows of K frames, a streaming step one frame through `Network::step`.
 //! `operators` times single operators instead, to see where a step's time goes.
 
@@ -14,8 +14,8 @@ use grnet_model::candle_nn::VarBuilder;
 use grnet_model::ops::{Activation, Adam, AdamOptions, AdamParam, Operators, ScaleShift};
 use grnet_model::{BatchStatistics, HeadTensors, Network, NetworkConfig, Preprocessing, device, untrained};
 
-const ROUNDS: usize = 10;
-const WARM_UP: usize = 3;
+const ROUNDS: usize = 7;
+const WARM_UP: usize = 2;
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
