@@ -265,7 +265,7 @@ fn the_whole_network_gives_the_same_poses_on_a_gpu() {
     let expected = on(&Device::Cpu, true);
     for training in [true, false] {
         for ((name, a), (_, b)) in expected.iter().zip(on(&Place::gpu().device, training)) {
-            assert!(difference(a, &b) < 2e-4, "{name}: {}", difference(a, &b));
+            assert!(difference(a, &b) < 1e-5, "{name}: {}", difference(a, &b));
         }
     }
 }
