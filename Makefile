@@ -75,6 +75,17 @@ bench-training: ## training steps beside PyTorch's, in turns (long; fetches PyTo
 	$(CARGO) build --release -p grnet-model --example training_step
 	@scripts/bench-training $${CARGO_TARGET_DIR:-target}/release/examples/training_step $${CARGO_TARGET_DIR:-target}/venv/bin/python
 
+.PHONY: test-cuda
+test-cuda: ## operators and networks on an NVIDIA GPU against the CPU and PyTorch (needs the CUDA tool kit)
+	$(CARGO) test -p grnet-model --features cuda --test ops --test training -- --include-ignored --test-threads 1
+	$(CARGO) test -p grnet-train --features cuda --test cuda -- --include-ignored --test-threads 1
+
+.PHONY: bench-cuda
+bench-cuda: ## training and streaming steps on an NVIDIA GPU beside PyTorch's (needs the CUDA tool kit; fetches PyTorch once)
+	@scripts/python-venv torch==2.15.0 numpy==2.4.6
+	$(CARGO) build --release -p grnet-model --features cuda --example gpu_step
+	@scripts/bench-cuda $${CARGO_TARGET_DIR:-target}/release/examples/gpu_step $${CARGO_TARGET_DIR:-target}/venv/bin/python
+
 .PHONY: train-models
 train-models: ## the shipped models from nothing (long; goes on where it was stopped)
 	@scripts/install-packages build

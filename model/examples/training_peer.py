@@ -118,4 +118,5 @@ def main():
         print(f"{wall:.2f} {cpu:.2f} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}", flush=True)
 
 
-main()
+if __name__ == "__main__":
+    main()

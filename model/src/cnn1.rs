@@ -7,7 +7,7 @@ use candle_core::{Module, Result, Tensor};
 use candle_nn::VarBuilder;
 
 use crate::config::NetworkConfig;
-use crate::ops;
+use crate::ops::Operators;
 use crate::resnet::{ConvBnElu, Stage, Training, max_pool_3x3_stride_2};
 
 /// Planes, units and stride of Res2, Res3 and Res4.
@@ -23,7 +23,7 @@ pub struct Cnn1 {
     layer1: Stage,
     layer2: Stage,
     layer3: Stage,
-    training: bool,
+    training: Option<Operators>,
 }
 
 impl Cnn1 {
@@ -41,12 +41,12 @@ impl Cnn1 {
             layer1: stage(stem, res2, "layer1")?,
             layer2: stage(4 * res2.0, res3, "layer2")?,
             layer3: stage(4 * res3.0, res4, "layer3")?,
-            training: false,
+            training: None,
         })
     }
 
     pub(crate) fn train(&mut self, training: &Training) {
-        self.training = true;
+        self.training = Some(training.operators);
         self.conv1.train(training);
         for stage in [&mut self.layer1, &mut self.layer2, &mut self.layer3] {
             stage.train(training);
@@ -57,10 +57,16 @@ impl Cnn1 {
 impl Module for Cnn1 {
     /// (N, 3, 224, 224) -> (N, 1024, 14, 14) at width 1; see [`NetworkConfig::features_shape`].
     fn forward(&self, image: &Tensor) -> Result<Tensor> {
-        let x = self.conv1.forward(image)?; // (N, 64, 112, 112)
-        let x = if self.training { ops::max_pool_3x3_stride_2(&x) } else { max_pool_3x3_stride_2(&x) }?; // (N, 64, 56, 56)
+        // The portable operators have N and C exchanged from here to the last stage.
+        let image = self.training.map_or_else(|| Ok(image.clone()), |operators| operators.enter(image))?;
+        let x = self.conv1.forward(&image)?; // (N, 64, 112, 112)
+        let x = match self.training {
+            Some(operators) => operators.max_pool_3x3_stride_2(&x),
+            None => max_pool_3x3_stride_2(&x),
+        }?; // (N, 64, 56, 56)
         let x = self.layer1.forward(&x)?; // (N, 256, 56, 56)
         let x = self.layer2.forward(&x)?; // (N, 512, 28, 28)
-        self.layer3.forward(&x) // (N, 1024, 14, 14)
+        let x = self.layer3.forward(&x)?; // (N, 1024, 14, 14)
+        self.training.map_or_else(|| Ok(x.clone()), |operators| operators.leave(&x))
     }
 }

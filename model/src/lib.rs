@@ -31,6 +31,7 @@
 pub mod checkpoint;
 pub mod cnn1;
 pub mod config;
+pub mod device;
 pub mod fcfl;
 pub mod heads;
 pub mod layout;

@@ -11,6 +11,7 @@ use crate::config::{ConfigError, NetworkConfig};
 use crate::fcfl::Fcfl;
 use crate::heads::{HeadOutput, HeadTensors};
 use crate::metadata::{HeadState, Heads};
+use crate::ops::Operators;
 use crate::rcnn1::Rcnn1;
 use crate::rcnn2::Rcnn2;
 use crate::recurrence::Memory;
@@ -184,8 +185,22 @@ impl Network {
         vb: VarBuilder<'_>,
         statistics: Option<BatchStatistics>,
     ) -> Result<Self, ModelError> {
+        let operators = Operators::for_device(vb.device());
+        Self::for_training_with(config, vb, statistics, operators)
+    }
+
+    /// As [`Network::for_training`] with these operators: the portable ones run on the CPU as well.
+    ///
+    /// # Errors
+    /// As [`Network::new`].
+    pub fn for_training_with(
+        config: &NetworkConfig,
+        vb: VarBuilder<'_>,
+        statistics: Option<BatchStatistics>,
+        operators: Operators,
+    ) -> Result<Self, ModelError> {
         let mut network = Self::new(config, vb)?;
-        let training = Training { statistics };
+        let training = Training { statistics, operators };
         network.cnn1.train(&training);
         if let Some(rcnn1) = &mut network.rcnn1 {
             rcnn1.train(&training);

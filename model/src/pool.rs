@@ -5,12 +5,14 @@ use candle_core::{Module, Result, Tensor};
 use candle_nn::VarBuilder;
 
 use crate::config::{NetworkConfig, SpatialPool};
+use crate::ops::Operators;
 use crate::resnet::{ConvBnElu, Training};
 
 /// Global average pool, or a 1x1 reduction with all positions side by side.
 #[derive(Debug, Clone)]
 pub struct Pool {
     reduce: Option<ConvBnElu>,
+    operators: Operators,
 }
 
 impl Pool {
@@ -26,10 +28,11 @@ impl Pool {
                 Some(ConvBnElu::new(shape, vb.pp("conv"), vb.pp("bn"))?)
             }
         };
-        Ok(Self { reduce })
+        Ok(Self { reduce, operators: Operators::Cpu })
     }
 
     pub(crate) fn train(&mut self, training: &Training) {
+        self.operators = training.operators;
         if let Some(reduce) = &mut self.reduce {
             reduce.train(training);
         }
@@ -40,8 +43,11 @@ impl Module for Pool {
     /// (N, C, h, w) -> (N, C) averaged, or (N, channels * h * w) flattened.
     fn forward(&self, map: &Tensor) -> Result<Tensor> {
         match &self.reduce {
-            None => map.mean((2, 3)),                             // (N, C, h, w) -> (N, C)
-            Some(reduce) => reduce.forward(map)?.flatten_from(1), // (N, channels, h, w) -> (N, channels * h * w)
+            None => map.mean((2, 3)), // (N, C, h, w) -> (N, C)
+            Some(reduce) => {
+                let reduced = reduce.forward(&self.operators.enter(map)?)?;
+                self.operators.leave(&reduced)?.flatten_from(1) // (N, channels, h, w) -> (N, channels * h * w)
+            }
         }
     }
 }

@@ -12,6 +12,7 @@ use candle_nn::{Linear, VarBuilder, linear};
 
 use crate::config::NetworkConfig;
 use crate::heads::{HeadTensors, PoseHead};
+use crate::ops::Operators;
 use crate::pool::Pool;
 use crate::recurrence::{Memory, Recurrent};
 use crate::resnet::{Stage, Training};
@@ -20,6 +21,7 @@ use crate::resnet::{Stage, Training};
 #[derive(Debug, Clone)]
 pub struct Rcnn1 {
     res5: Stage,
+    operators: Operators,
     pool: Pool,
     lstm: Recurrent,
     fc1: Linear,
@@ -35,6 +37,7 @@ impl Rcnn1 {
         let inputs = 2 * config.features_shape().0;
         Ok(Self {
             res5: Stage::new(inputs, config.res5_planes(), 3, 2, vb.pp("res5"))?,
+            operators: Operators::Cpu,
             pool: Pool::new(config, vb.clone())?,
             lstm: Recurrent::new(config, vb.pp("lstm"))?,
             fc1: linear(config.lstm_hidden, config.fc1, vb.pp("fc1"))?,
@@ -43,6 +46,7 @@ impl Rcnn1 {
     }
 
     pub(crate) fn train(&mut self, training: &Training) {
+        self.operators = training.operators;
         self.res5.train(training);
         self.pool.train(training);
     }
@@ -53,7 +57,8 @@ impl Rcnn1 {
     /// When shapes do not fit.
     pub fn pooled(&self, previous: &Tensor, current: &Tensor) -> Result<Tensor> {
         let pair = Tensor::cat(&[previous, current], 1)?; // 2 x (N, C, h, w) -> (N, 2 C, h, w)
-        self.pool.forward(&self.res5.forward(&pair)?)
+        let map = self.res5.forward(&self.operators.enter(&pair)?)?;
+        self.pool.forward(&self.operators.leave(&map)?)
     }
 
     /// One frame: pooled (1, F) -> fc1 (1, fc1).

@@ -12,6 +12,7 @@ use candle_nn::{Linear, VarBuilder, linear};
 
 use crate::config::NetworkConfig;
 use crate::heads::{HeadTensors, PoseHead};
+use crate::ops::Operators;
 use crate::pool::Pool;
 use crate::recurrence::{Memory, Recurrent};
 use crate::resnet::{Stage, Training};
@@ -20,6 +21,7 @@ use crate::resnet::{Stage, Training};
 #[derive(Debug, Clone)]
 pub struct Rcnn2 {
     res5: Stage,
+    operators: Operators,
     pool: Pool,
     lstm: Recurrent,
     fc2: Linear,
@@ -35,6 +37,7 @@ impl Rcnn2 {
         let inputs = config.features_shape().0;
         Ok(Self {
             res5: Stage::new(inputs, config.res5_planes(), 3, 2, vb.pp("res5"))?,
+            operators: Operators::Cpu,
             pool: Pool::new(config, vb.clone())?,
             lstm: Recurrent::new(config, vb.pp("lstm"))?,
             fc2: linear(config.lstm_hidden, config.fc2, vb.pp("fc2"))?,
@@ -43,6 +46,7 @@ impl Rcnn2 {
     }
 
     pub(crate) fn train(&mut self, training: &Training) {
+        self.operators = training.operators;
         self.res5.train(training);
         self.pool.train(training);
     }
@@ -52,7 +56,8 @@ impl Rcnn2 {
     /// # Errors
     /// When shapes do not fit.
     pub fn pooled(&self, features: &Tensor) -> Result<Tensor> {
-        self.pool.forward(&self.res5.forward(features)?)
+        let map = self.res5.forward(&self.operators.enter(features)?)?;
+        self.pool.forward(&self.operators.leave(&map)?)
     }
 
     /// One frame: pooled (1, F) -> fc2 (1, fc2).

@@ -7,7 +7,7 @@
 use candle_core::{Module, Result, Tensor};
 use candle_nn::VarBuilder;
 
-use crate::ops::{self, Activation, ScaleShift};
+use crate::ops::{Activation, Operators, ScaleShift};
 use crate::statistics::BatchStatistics;
 
 /// Epsilon of every batch norm, PyTorch's default.
@@ -23,7 +23,7 @@ pub fn needs_downsample(inputs: usize, planes: usize, stride: usize) -> bool {
 pub struct Convolution {
     weight: Tensor,
     stride: usize,
-    training: bool,
+    training: Option<Operators>,
 }
 
 impl Convolution {
@@ -39,20 +39,20 @@ impl Convolution {
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         let weight = vb.get((outputs, inputs, kernel, kernel), "weight")?;
-        Ok(Self { weight, stride, training: false })
+        Ok(Self { weight, stride, training: None })
     }
 
     /// Computes with the operators that have fast gradients.
-    pub(crate) fn train(&mut self) {
-        self.training = true;
+    pub(crate) fn train(&mut self, training: &Training) {
+        self.training = Some(training.operators);
     }
 }
 
 impl Module for Convolution {
     /// (N, inputs, H, W) -> (N, outputs, ceil(H / stride), ceil(W / stride)).
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        if self.training {
-            return ops::conv2d(x, &self.weight, self.stride);
+        if let Some(operators) = self.training {
+            return operators.conv2d(x, &self.weight, self.stride);
         }
         let (outputs, inputs, kernel, _) = self.weight.dims4()?;
         if kernel == 1 && self.stride == 1 {
@@ -90,6 +90,8 @@ pub struct BatchNorm {
 pub(crate) struct Training {
     /// Takes the statistics of batch norms whose weight is trained; none: all use their running statistics.
     pub(crate) statistics: Option<BatchStatistics>,
+    /// What convolutions, batch norms and pools compute with.
+    pub(crate) operators: Operators,
 }
 
 impl BatchNorm {
@@ -146,13 +148,13 @@ impl BatchNorm {
         let affine = ScaleShift { weight: &self.weight, bias: &self.bias };
         match &training.statistics {
             Some(statistics) if self.weight.track_op() => {
-                let (y, moments) = ops::batch_norm(x, affine, residual, activation)?;
-                statistics.record(&self.name, &moments);
+                let (y, moments) = training.operators.batch_norm(x, affine, residual, activation)?;
+                statistics.record(&self.name, &moments)?;
                 Ok(y)
             }
             _ => {
-                let (mean, var) = (&self.running_mean, &self.running_var);
-                ops::batch_norm_running(x, affine, mean, var, residual, activation)
+                let running = (&self.running_mean, &self.running_var);
+                training.operators.batch_norm_running(x, affine, running, residual, activation)
             }
         }
     }
@@ -197,7 +199,7 @@ impl ConvBnElu {
     }
 
     pub(crate) fn train(&mut self, training: &Training) {
-        self.conv.train();
+        self.conv.train(training);
         self.bn.train(training);
     }
 }
@@ -245,10 +247,10 @@ impl Bottleneck {
     pub(crate) fn train(&mut self, training: &Training) {
         self.conv1.train(training);
         self.conv2.train(training);
-        self.conv3.train();
+        self.conv3.train(training);
         self.bn3.train(training);
         if let Some((conv, bn)) = &mut self.downsample {
-            conv.train();
+            conv.train(training);
             bn.train(training);
         }
     }
@@ -342,8 +344,7 @@ mod tests {
         for n in [1, 3] {
             let x = tensor(&[n, 6, 5, 7], 1);
             let weight = tensor(&[4, 6, 1, 1], 2);
-            let ours =
-                Convolution { weight: weight.clone(), stride: 1, training: false }.forward(&x).unwrap();
+            let ours = Convolution { weight: weight.clone(), stride: 1, training: None }.forward(&x).unwrap();
             let theirs = x.conv2d(&weight, 0, 1, 1, 1).unwrap();
             let difference = (ours - theirs).unwrap().abs().unwrap().max_all().unwrap();
             assert!(difference.to_dtype(DType::F32).unwrap().to_scalar::<f32>().unwrap() < 1e-5);

@@ -2,17 +2,19 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use candle_core::{Result, Tensor};
+
 use crate::ops::ChannelMoments;
 
 /// Statistics of one batch norm over one batch.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct LayerStatistics {
     /// The layer, such as `cnn1.layer1.0.bn1`; its averages are `<layer>.running_mean` and `<layer>.running_var`.
     pub layer: String,
-    /// Mean of every channel.
-    pub mean: Vec<f32>,
-    /// Unbiased variance of every channel, which is what PyTorch averages.
-    pub variance: Vec<f32>,
+    /// Mean of every channel, (C).
+    pub mean: Tensor,
+    /// Unbiased variance of every channel, which is what PyTorch averages, (C).
+    pub variance: Tensor,
 }
 
 /// Collects the statistics of a forward pass; clones share one list.
@@ -27,12 +29,13 @@ impl BatchStatistics {
         std::mem::take(&mut self.collected.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    pub(crate) fn record(&self, layer: &str, moments: &ChannelMoments) {
+    pub(crate) fn record(&self, layer: &str, moments: &ChannelMoments) -> Result<()> {
         let statistics = LayerStatistics {
             layer: layer.to_owned(),
             mean: moments.mean.clone(),
-            variance: moments.unbiased_variance(),
+            variance: moments.unbiased_variance()?,
         };
         self.collected.lock().unwrap_or_else(PoisonError::into_inner).push(statistics);
+        Ok(())
     }
 }

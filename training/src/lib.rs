@@ -7,6 +7,7 @@ pub mod check;
 pub mod cli;
 pub mod data;
 pub mod dataset_args;
+pub mod device;
 pub mod evaluate;
 pub mod import;
 pub mod init;

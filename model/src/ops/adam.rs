@@ -5,14 +5,18 @@
 //! m = beta1 m + (1 - beta1) g          w = w - lr / (1 - beta1^t) m / (sqrt(v / (1 - beta2^t)) + eps)
 //! v = beta2 v + (1 - beta2) g^2
 //! ```
+//!
+//! That is the CPU's; on other devices the moments lie there, and the norm is summed in f32.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
 use candle_core::backprop::GradStore;
-use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var, bail};
+use candle_core::{CpuStorage, DType, Device, InplaceOp2, Layout, Result, Tensor, Var, bail};
 use rayon::prelude::*;
 
+use super::Operators;
+use super::portable::FlatMoments;
 use super::values::{slice, with_values};
 
 /// Numbers of one task.
@@ -101,36 +105,72 @@ pub enum AdamError {
         /// Numbers of the parameter.
         expected: usize,
     },
+    /// The moments could not be copied to the device.
+    #[error("cannot restore Adam's moments: {reason}")]
+    Device {
+        /// What candle says.
+        reason: String,
+    },
 }
 
-/// Adam over named variables on the CPU.
+/// Adam over named variables of one device.
 #[derive(Debug)]
 pub struct Adam {
-    params: BTreeMap<String, (AdamParam, AdamMoments)>,
+    moments: Moments,
     options: AdamOptions,
     steps: u64,
+}
+
+#[derive(Debug)]
+enum Moments {
+    Cpu(BTreeMap<String, (AdamParam, AdamMoments)>),
+    Portable(FlatMoments),
 }
 
 impl Adam {
     /// Moments of zero for every parameter.
     ///
     /// # Errors
-    /// When a variable is not f32, not contiguous or not on the CPU.
+    /// When a variable is not f32, not contiguous or not where the others are.
     pub fn new(params: BTreeMap<String, AdamParam>, options: AdamOptions) -> Result<Self> {
-        let with_moments = |(name, param): (String, AdamParam)| {
-            let tensor = param.var.as_tensor();
-            if !matches!(tensor.device(), Device::Cpu)
-                || tensor.dtype() != candle_core::DType::F32
+        let device = params.values().next().map_or(Device::Cpu, |param| param.var.device().clone());
+        Self::with_operators(params, options, Operators::for_device(&device))
+    }
+
+    /// As [`Adam::new`] with the arithmetic of these operators.
+    ///
+    /// # Errors
+    /// As [`Adam::new`]; also for [`Operators::Cpu`] elsewhere.
+    pub fn with_operators(
+        params: BTreeMap<String, AdamParam>,
+        options: AdamOptions,
+        operators: Operators,
+    ) -> Result<Self> {
+        let device = match (operators, params.values().next()) {
+            (Operators::Portable, Some(param)) => param.var.device().clone(),
+            _ => Device::Cpu,
+        };
+        for (name, AdamParam { var, .. }) in &params {
+            let tensor = var.as_tensor();
+            if !tensor.device().same_device(&device)
+                || tensor.dtype() != DType::F32
                 || !tensor.is_contiguous()
             {
-                bail!("Adam trains contiguous f32 variables on the CPU; `{name}` is {tensor:?}")
+                bail!("Adam trains contiguous f32 variables on {device:?}; `{name}` is {tensor:?}")
             }
-            let zeros = vec![0.0; tensor.elem_count()];
-            let moments = AdamMoments { first: zeros.clone(), second: zeros, steps: 0 };
-            Ok((name, (param, moments)))
+        }
+        let moments = match operators {
+            Operators::Cpu => {
+                let with_moments = |(name, param): (String, AdamParam)| {
+                    let zeros = vec![0.0; param.var.elem_count()];
+                    let moments = AdamMoments { first: zeros.clone(), second: zeros, steps: 0 };
+                    (name, (param, moments))
+                };
+                Moments::Cpu(params.into_iter().map(with_moments).collect())
+            }
+            Operators::Portable => Moments::Portable(FlatMoments::new(params, &device)?),
         };
-        let params = params.into_iter().map(with_moments).collect::<Result<_>>()?;
-        Ok(Self { params, options, steps: 0 })
+        Ok(Self { moments, options, steps: 0 })
     }
 
     /// One update with learning rate `lr`. Gradients whose joint norm exceeds `max_norm` are scaled down to it.
@@ -141,47 +181,13 @@ impl Adam {
     /// # Errors
     /// When a gradient has another shape than its parameter.
     pub fn step(&mut self, grads: &GradStore, lr: f64, max_norm: Option<f64>) -> Result<StepReport> {
-        let mut updates = Vec::with_capacity(self.params.len());
-        for (name, (param, moments)) in &mut self.params {
-            let Some(gradient) = grads.get(&param.var) else { continue };
-            if gradient.dims() != param.var.dims() {
-                bail!(
-                    "the gradient of `{name}` is {:?}, the parameter {:?}",
-                    gradient.dims(),
-                    param.var.dims()
-                );
-            }
-            updates.push((&*param, moments, gradient.contiguous()?));
-        }
-        let squares = updates.par_iter().map(|(_, _, gradient)| sum_of_squares(gradient));
-        // Collected first: a parallel sum would add in any order.
-        let grad_norm = squares.collect::<Result<Vec<f64>>>()?.iter().sum::<f64>().sqrt();
-        if !grad_norm.is_finite() {
-            return Ok(StepReport { grad_norm, applied: false });
-        }
-        let scale = match max_norm {
-            // PyTorch's clip_grad_norm_ adds this to the norm as well.
-            Some(max_norm) => (max_norm / (grad_norm + 1e-6)).min(1.0),
-            None => 1.0,
-        };
         let options = self.options;
-        updates.into_par_iter().try_for_each(|(param, moments, gradient)| {
-            moments.steps += 1;
-            let t = moments.steps as f64;
-            let update = Update {
-                beta1: options.beta1 as f32,
-                beta2: options.beta2 as f32,
-                one_minus_beta1: (1.0 - options.beta1) as f32,
-                one_minus_beta2: (1.0 - options.beta2) as f32,
-                step: (lr * param.lr_multiplier / (1.0 - options.beta1.powf(t))) as f32,
-                inverse_root: (1.0 - options.beta2.powf(t)).sqrt().recip() as f32,
-                eps: options.eps as f32,
-                scale: scale as f32,
-            };
-            param.var.inplace_op2(&gradient, &InPlace { update, moments: RefCell::new(moments) })
-        })?;
-        self.steps += 1;
-        Ok(StepReport { grad_norm, applied: true })
+        let report = match &mut self.moments {
+            Moments::Cpu(params) => step_on_cpu(params, &options, grads, lr, max_norm)?,
+            Moments::Portable(moments) => moments.step(&options, grads, lr, max_norm)?,
+        };
+        self.steps += u64::from(report.applied);
+        Ok(report)
     }
 
     /// Updates applied so far.
@@ -190,9 +196,29 @@ impl Adam {
     }
 
     /// A copy of everything that [`Adam::restore`] needs.
-    pub fn state(&self) -> AdamState {
-        let moments = self.params.iter().map(|(name, (_, moments))| (name.clone(), moments.clone()));
-        AdamState { moments: moments.collect(), steps: self.steps }
+    ///
+    /// # Errors
+    /// When the moments cannot be copied from their device.
+    pub fn state(&self) -> Result<AdamState> {
+        let moments = match &self.moments {
+            Moments::Cpu(params) => {
+                params.iter().map(|(name, (_, moments))| (name.clone(), moments.clone())).collect()
+            }
+            Moments::Portable(moments) => moments.state()?,
+        };
+        Ok(AdamState { moments, steps: self.steps })
+    }
+
+    /// Names of the parameters with the number of their elements.
+    pub fn lengths(&self) -> BTreeMap<String, usize> {
+        match &self.moments {
+            Moments::Cpu(params) => {
+                params.iter().map(|(name, (_, moments))| (name.clone(), moments.first.len())).collect()
+            }
+            Moments::Portable(moments) => {
+                moments.lengths().map(|(name, length)| (name.clone(), length)).collect()
+            }
+        }
     }
 
     /// Puts a saved state back, to the bit.
@@ -201,26 +227,78 @@ impl Adam {
     /// When the state is of other parameters; nothing is changed then.
     pub fn restore(&mut self, state: AdamState) -> std::result::Result<(), AdamError> {
         let missing = |name: &String, found| AdamError::Names { name: name.clone(), found };
-        if let Some(name) = state.moments.keys().find(|name| !self.params.contains_key(*name)) {
+        let lengths = self.lengths();
+        if let Some(name) = state.moments.keys().find(|name| !lengths.contains_key(*name)) {
             return Err(missing(name, "not trained here"));
         }
-        for (name, (_, own)) in &self.params {
+        for (name, expected) in &lengths {
             let Some(saved) = state.moments.get(name) else {
                 return Err(missing(name, "not in the saved state"));
             };
-            let (first, second, expected) = (saved.first.len(), saved.second.len(), own.first.len());
+            let (first, second, expected) = (saved.first.len(), saved.second.len(), *expected);
             if first != expected || second != expected {
                 return Err(AdamError::Size { name: name.clone(), first, second, expected });
             }
         }
-        for (name, moments) in state.moments {
-            if let Some((_, own)) = self.params.get_mut(&name) {
-                *own = moments;
+        match &mut self.moments {
+            Moments::Cpu(params) => {
+                for (name, moments) in state.moments {
+                    if let Some((_, own)) = params.get_mut(&name) {
+                        *own = moments;
+                    }
+                }
             }
+            Moments::Portable(moments) => moments
+                .restore(&state.moments)
+                .map_err(|error| AdamError::Device { reason: error.to_string() })?,
         }
         self.steps = state.steps;
         Ok(())
     }
+}
+
+fn step_on_cpu(
+    params: &mut BTreeMap<String, (AdamParam, AdamMoments)>,
+    options: &AdamOptions,
+    grads: &GradStore,
+    lr: f64,
+    max_norm: Option<f64>,
+) -> Result<StepReport> {
+    let mut updates = Vec::with_capacity(params.len());
+    for (name, (param, moments)) in params {
+        let Some(gradient) = grads.get(&param.var) else { continue };
+        if gradient.dims() != param.var.dims() {
+            bail!("the gradient of `{name}` is {:?}, the parameter {:?}", gradient.dims(), param.var.dims());
+        }
+        updates.push((&*param, moments, gradient.contiguous()?));
+    }
+    let squares = updates.par_iter().map(|(_, _, gradient)| sum_of_squares(gradient));
+    // Collected first: a parallel sum would add in any order.
+    let grad_norm = squares.collect::<Result<Vec<f64>>>()?.iter().sum::<f64>().sqrt();
+    if !grad_norm.is_finite() {
+        return Ok(StepReport { grad_norm, applied: false });
+    }
+    let scale = match max_norm {
+        // PyTorch's clip_grad_norm_ adds this to the norm as well.
+        Some(max_norm) => (max_norm / (grad_norm + 1e-6)).min(1.0),
+        None => 1.0,
+    };
+    updates.into_par_iter().try_for_each(|(param, moments, gradient)| {
+        moments.steps += 1;
+        let t = moments.steps as f64;
+        let update = Update {
+            beta1: options.beta1 as f32,
+            beta2: options.beta2 as f32,
+            one_minus_beta1: (1.0 - options.beta1) as f32,
+            one_minus_beta2: (1.0 - options.beta2) as f32,
+            step: (lr * param.lr_multiplier / (1.0 - options.beta1.powf(t))) as f32,
+            inverse_root: (1.0 - options.beta2.powf(t)).sqrt().recip() as f32,
+            eps: options.eps as f32,
+            scale: scale as f32,
+        };
+        param.var.inplace_op2(&gradient, &InPlace { update, moments: RefCell::new(moments) })
+    })?;
+    Ok(StepReport { grad_norm, applied: true })
 }
 
 /// In double precision and in order.

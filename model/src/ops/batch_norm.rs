@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 
 use super::batch_norm_cpu::{Maps, backward, forward};
-use super::values::{on_cpu, slice, tensor, with_values};
+use super::values::{slice, tensor, with_values};
 use crate::resnet::BATCH_NORM_EPS;
 
 /// What stands behind the sum of the normalised input and the residual.
@@ -27,23 +27,38 @@ pub struct ScaleShift<'a> {
     pub bias: &'a Tensor,
 }
 
-/// Mean and variance of every channel.
-#[derive(Debug, Clone, PartialEq)]
+/// Mean and variance of every channel, where the maps are.
+#[derive(Debug, Clone)]
 pub struct ChannelMoments {
-    /// Mean.
-    pub mean: Vec<f32>,
-    /// Variance about the mean, divided by the number of values (biased).
-    pub variance: Vec<f32>,
+    /// Mean, (C).
+    pub mean: Tensor,
+    /// Variance about the mean, divided by the number of values (biased), (C).
+    pub variance: Tensor,
     /// Values per channel that it was computed from.
     pub count: usize,
 }
 
 impl ChannelMoments {
     /// The variance divided by the number of values less one, which PyTorch averages into its running variance.
-    pub fn unbiased_variance(&self) -> Vec<f32> {
+    ///
+    /// # Errors
+    /// When memory runs out.
+    pub fn unbiased_variance(&self) -> Result<Tensor> {
         let factor = self.count as f64 / (self.count as f64 - 1.0);
-        self.variance.iter().map(|variance| (f64::from(*variance) * factor) as f32).collect()
+        if !self.variance.device().is_cpu() {
+            return self.variance.affine(factor, 0.0);
+        }
+        let variance = self.variance.to_vec1::<f32>()?;
+        let unbiased = variance.into_iter().map(|variance| (f64::from(variance) * factor) as f32).collect();
+        tensor(unbiased, self.variance.dims())
     }
+}
+
+/// The numbers of [`ChannelMoments`].
+#[derive(Debug, Clone)]
+pub(super) struct Numbers {
+    pub(super) mean: Vec<f32>,
+    pub(super) variance: Vec<f32>,
 }
 
 /// y = activation(weight (x - mean) / sqrt(variance + eps) + bias + residual) with the moments of x itself over N, H
@@ -64,14 +79,15 @@ pub fn batch_norm(
             x.dims()
         );
     }
-    if !on_cpu(x) {
-        return plain::batch_norm(x, affine, residual, activation);
-    }
     let computed = Arc::new(OnceLock::new());
     let moments = Moments::OfBatch(computed.clone());
     let y = apply(BatchNorm { maps, moments, activation }, x, affine, residual)?;
     match computed.get() {
-        Some(moments) => Ok((y, moments.clone())),
+        Some(Numbers { mean, variance }) => {
+            let channels = [maps.channels];
+            let (mean, variance) = (tensor(mean.clone(), &channels)?, tensor(variance.clone(), &channels)?);
+            Ok((y, ChannelMoments { mean, variance, count: maps.images * maps.map }))
+        }
         None => bail!("batch norm of {:?} computed no statistics", x.dims()),
     }
 }
@@ -98,11 +114,8 @@ pub fn batch_norm_running(
             maps.channels
         );
     }
-    if !on_cpu(x) {
-        return plain::batch_norm_running(x, affine, mean, variance, residual, activation);
-    }
     let (mean, variance) = (mean.to_vec1()?, variance.to_vec1()?);
-    let moments = Moments::Given(ChannelMoments { mean, variance, count: maps.images * maps.map });
+    let moments = Moments::Given(Numbers { mean, variance });
     apply(BatchNorm { maps, moments, activation }, x, affine, residual)
 }
 
@@ -133,8 +146,8 @@ fn apply(op: BatchNorm, x: &Tensor, affine: ScaleShift<'_>, residual: Option<&Te
 }
 
 enum Moments {
-    OfBatch(Arc<OnceLock<ChannelMoments>>),
-    Given(ChannelMoments),
+    OfBatch(Arc<OnceLock<Numbers>>),
+    Given(Numbers),
 }
 
 /// Inputs: x (N, C, H, W), weight and bias (2, C), on request a residual (N, C, H, W).
@@ -253,68 +266,6 @@ impl CustomOp3 for BatchNorm {
     }
 }
 
-/// The same in candle's own operators, for devices that are not the CPU.
-mod plain {
-    use super::*;
-
-    pub(super) fn batch_norm(
-        x: &Tensor,
-        affine: ScaleShift<'_>,
-        residual: Option<&Tensor>,
-        activation: Activation,
-    ) -> Result<(Tensor, ChannelMoments)> {
-        let (images, _, height, width) = x.dims4()?;
-        let mean = x.mean_keepdim((0, 2, 3))?; // (N, C, H, W) -> (1, C, 1, 1)
-        let centred = x.broadcast_sub(&mean)?;
-        let variance = centred.sqr()?.mean_keepdim((0, 2, 3))?; // (N, C, H, W) -> (1, C, 1, 1)
-        let y = finish(&centred, &variance, affine, residual, activation)?;
-        let numbers = |t: &Tensor| t.flatten_all()?.to_vec1::<f32>();
-        let (mean, variance) = (numbers(&mean)?, numbers(&variance)?);
-        Ok((y, ChannelMoments { mean, variance, count: images * height * width }))
-    }
-
-    pub(super) fn batch_norm_running(
-        x: &Tensor,
-        affine: ScaleShift<'_>,
-        mean: &Tensor,
-        variance: &Tensor,
-        residual: Option<&Tensor>,
-        activation: Activation,
-    ) -> Result<Tensor> {
-        let (mean, variance) = (mean.detach(), variance.detach());
-        finish(
-            &x.broadcast_sub(&per_channel(&mean)?)?,
-            &per_channel(&variance)?,
-            affine,
-            residual,
-            activation,
-        )
-    }
-
-    fn finish(
-        centred: &Tensor,
-        variance: &Tensor,
-        affine: ScaleShift<'_>,
-        residual: Option<&Tensor>,
-        activation: Activation,
-    ) -> Result<Tensor> {
-        let scale = (per_channel(affine.weight)? / (variance + BATCH_NORM_EPS)?.sqrt()?)?;
-        let mut y = centred.broadcast_mul(&scale)?.broadcast_add(&per_channel(affine.bias)?)?;
-        if let Some(residual) = residual {
-            y = (y + residual)?;
-        }
-        match activation {
-            Activation::None => Ok(y),
-            Activation::Elu => y.elu(1.0),
-        }
-    }
-
-    /// (C) -> (1, C, 1, 1).
-    fn per_channel(t: &Tensor) -> Result<Tensor> {
-        t.reshape((1, t.dim(0)?, 1, 1))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -345,7 +296,7 @@ mod tests {
                 let (plain, plain_moments) = plain::batch_norm(&x, affine, residual, activation).unwrap();
                 for (a, b) in [(moments.mean, plain_moments.mean), (moments.variance, plain_moments.variance)]
                 {
-                    assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6));
+                    assert!(difference(&a, &b) < 1e-6);
                 }
                 assert_eq!((moments.count, plain_moments.count), (84, 84));
                 let running = batch_norm_running(&x, affine, &mean, &variance, residual, activation).unwrap();
@@ -377,5 +328,66 @@ mod tests {
         let (x, other) = (numbers(&[2, 5, 3, 3], 1), numbers(&[2, 5, 3, 4], 1));
         let error = batch_norm(&x, affine, Some(&other), Activation::Elu).unwrap_err();
         assert!(error.to_string().contains("[2, 5, 3, 4]"), "{error}");
+    }
+
+    /// The same in candle's own operators.
+    mod plain {
+        use super::*;
+
+        pub(super) fn batch_norm(
+            x: &Tensor,
+            affine: ScaleShift<'_>,
+            residual: Option<&Tensor>,
+            activation: Activation,
+        ) -> Result<(Tensor, ChannelMoments)> {
+            let (images, _, height, width) = x.dims4()?;
+            let mean = x.mean_keepdim((0, 2, 3))?; // (N, C, H, W) -> (1, C, 1, 1)
+            let centred = x.broadcast_sub(&mean)?;
+            let variance = centred.sqr()?.mean_keepdim((0, 2, 3))?; // (N, C, H, W) -> (1, C, 1, 1)
+            let y = finish(&centred, &variance, affine, residual, activation)?;
+            let (mean, variance) = (mean.flatten_all()?, variance.flatten_all()?);
+            Ok((y, ChannelMoments { mean, variance, count: images * height * width }))
+        }
+
+        pub(super) fn batch_norm_running(
+            x: &Tensor,
+            affine: ScaleShift<'_>,
+            mean: &Tensor,
+            variance: &Tensor,
+            residual: Option<&Tensor>,
+            activation: Activation,
+        ) -> Result<Tensor> {
+            let (mean, variance) = (mean.detach(), variance.detach());
+            finish(
+                &x.broadcast_sub(&per_channel(&mean)?)?,
+                &per_channel(&variance)?,
+                affine,
+                residual,
+                activation,
+            )
+        }
+
+        fn finish(
+            centred: &Tensor,
+            variance: &Tensor,
+            affine: ScaleShift<'_>,
+            residual: Option<&Tensor>,
+            activation: Activation,
+        ) -> Result<Tensor> {
+            let scale = (per_channel(affine.weight)? / (variance + BATCH_NORM_EPS)?.sqrt()?)?;
+            let mut y = centred.broadcast_mul(&scale)?.broadcast_add(&per_channel(affine.bias)?)?;
+            if let Some(residual) = residual {
+                y = (y + residual)?;
+            }
+            match activation {
+                Activation::None => Ok(y),
+                Activation::Elu => y.elu(1.0),
+            }
+        }
+
+        /// (C) -> (1, C, 1, 1).
+        fn per_channel(t: &Tensor) -> Result<Tensor> {
+            t.reshape((1, t.dim(0)?, 1, 1))
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::batch_norm::{Activation, ChannelMoments};
+use super::batch_norm::{Activation, Numbers};
 use super::elu::elu;
 
 /// Independent partial sums, as many as two or four vector registers hold.
@@ -44,11 +44,11 @@ pub(super) fn forward(
     maps: Maps,
     x: &[f32],
     affine: &[f32],
-    given: Option<&ChannelMoments>,
+    given: Option<&Numbers>,
     eps: f64,
     residual: Option<&[f32]>,
     activation: Activation,
-) -> (Vec<f32>, ChannelMoments) {
+) -> (Vec<f32>, Numbers) {
     let mut y = vec![0.0; x.len()];
     let task = |(channel, y): (usize, ChannelMaps<'_>)| {
         pulp::Arch::new().dispatch(|| {
@@ -68,7 +68,7 @@ pub(super) fn forward(
     };
     let moments = maps.by_channel(&mut y).into_par_iter().enumerate().map(task);
     let (mean, variance) = moments.unzip();
-    (y, ChannelMoments { mean, variance, count: maps.images * maps.map })
+    (y, Numbers { mean, variance })
 }
 
 /// What the gradient needs of the forward pass, and the gradient of its output.
@@ -93,7 +93,7 @@ pub(super) struct Gradients {
 pub(super) fn backward(
     maps: Maps,
     saved: Saved<'_>,
-    moments: &ChannelMoments,
+    moments: &Numbers,
     of_batch: bool,
     eps: f64,
     activation: Activation,

@@ -5,7 +5,7 @@ use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use super::convolution_cpu::{forward, input_gradient, weight_gradient};
 use super::gemm::Matrix;
 use super::geometry::Geometry;
-use super::values::{on_cpu, slice, tensor, with_values};
+use super::values::{slice, tensor, with_values};
 
 /// Convolution without bias, square odd kernel, padding (k - 1) / 2:
 /// x (N, C, H, W) and weight (outputs, C, k, k) -> (N, outputs, ceil(H / stride), ceil(W / stride)).
@@ -16,16 +16,7 @@ use super::values::{on_cpu, slice, tensor, with_values};
 /// When the shapes do not fit.
 pub fn conv2d(x: &Tensor, weight: &Tensor, stride: usize) -> Result<Tensor> {
     let geometry = Geometry::new(x.dims(), weight.dims(), stride)?;
-    if on_cpu(x) {
-        return x.contiguous()?.apply_op2(&weight.contiguous()?, Convolution { geometry });
-    }
-    if geometry.is_pointwise() {
-        let (n, _, height, width) = x.dims4()?;
-        let weight = weight.flatten_from(1)?.broadcast_left(n)?; // (outputs, C, 1, 1) -> (N, outputs, C)
-        let y = weight.matmul(&x.flatten_from(2)?)?; // (N, C, H * W) -> (N, outputs, H * W)
-        return y.reshape((n, (), height, width));
-    }
-    x.conv2d(weight, geometry.kernel / 2, stride, 1, 1)
+    x.contiguous()?.apply_op2(&weight.contiguous()?, Convolution { geometry })
 }
 
 struct Convolution {

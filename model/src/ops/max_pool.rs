@@ -3,7 +3,7 @@
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::values::{on_cpu, slice, tensor, with_values};
+use super::values::{slice, tensor, with_values};
 
 /// 3x3 max-pool, stride 2, padding 1: (N, C, H, W) -> (N, C, ceil(H / 2), ceil(W / 2)).
 ///
@@ -16,7 +16,7 @@ pub fn max_pool_3x3_stride_2(x: &Tensor) -> Result<Tensor> {
     if x.elem_count() == 0 {
         bail!("no maximum in an empty map of shape {:?}", x.dims());
     }
-    if on_cpu(x) { x.contiguous()?.apply_op1(MaxPool { height, width }) } else { plain(x) }
+    x.contiguous()?.apply_op1(MaxPool { height, width })
 }
 
 struct MaxPool {
@@ -88,44 +88,10 @@ impl CustomOp1 for MaxPool {
     }
 }
 
-/// The same in candle's own operators, for devices that are not the CPU; equal maxima share the gradient.
-fn plain(x: &Tensor) -> Result<Tensor> {
-    along(&along(x, 2)?, 3)
-}
-
-/// Maximum of 3 with stride 2 along one dimension.
-fn along(x: &Tensor, dim: usize) -> Result<Tensor> {
-    let length = x.dim(dim)?;
-    // A border that repeats the edge changes no maximum: the window that reaches it holds the edge as well.
-    let taken = |offset: i64| {
-        let at = (0..length.div_ceil(2) as i64).map(|i| (2 * i + offset).clamp(0, length as i64 - 1));
-        let at = Tensor::from_iter(at, x.device())?;
-        x.contiguous()?.index_select(&at, dim)
-    };
-    taken(-1)?.maximum(&taken(0)?)?.maximum(&taken(1)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use candle_core::{Device, Var};
-
-    #[test]
-    fn plain_operators_give_the_same_maxima_and_gradients() {
-        for (height, width) in [(7, 10), (8, 5), (1, 2), (3, 3)] {
-            let count = 2 * 3 * height * width;
-            // No two values are equal: 7919 and 1013 are prime.
-            let values = (0..count).map(|i| ((i * 7919) % 1013) as f32 / -100.0).collect::<Vec<_>>();
-            let x = Tensor::from_vec(values, (2, 3, height, width), &Device::Cpu).unwrap();
-            let x = Var::from_tensor(&x).unwrap();
-            let run = |y: Tensor| {
-                let gradients = y.sqr().unwrap().backward().unwrap();
-                let numbers = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-                (numbers(&y), numbers(gradients.get(&x).unwrap()))
-            };
-            assert_eq!(run(max_pool_3x3_stride_2(&x).unwrap()), run(plain(&x).unwrap()), "{height}x{width}");
-        }
-    }
 
     #[test]
     fn the_first_of_equal_maxima_gets_the_gradient() {

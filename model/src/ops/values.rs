@@ -2,11 +2,6 @@
 
 use candle_core::{CpuStorage, Device, Layout, Result, Storage, Tensor, bail};
 
-/// Whether the operators of this module compute it; other devices use candle's own.
-pub(super) fn on_cpu(tensor: &Tensor) -> bool {
-    tensor.device().is_cpu()
-}
-
 /// The numbers of a contiguous f32 tensor.
 pub(super) fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let Some((start, end)) = layout.contiguous_offsets() else {

@@ -7,7 +7,34 @@ use std::collections::HashMap;
 
 use grnet_model::candle_core::{DType, Device, Tensor};
 use grnet_model::candle_nn::VarBuilder;
+use grnet_model::ops::Operators;
 use grnet_model::{Network, NetworkConfig, SpatialPool};
+
+/// A device, and the operators that a training uses there.
+#[derive(Debug, Clone)]
+pub struct Place {
+    pub operators: Operators,
+    pub device: Device,
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Self { operators: Operators::Cpu, device: Device::Cpu }
+    }
+}
+
+impl Place {
+    /// The first NVIDIA GPU.
+    #[cfg(feature = "cuda")]
+    pub fn gpu() -> Self {
+        Self { operators: Operators::Portable, device: grnet_model::device::cuda(0).unwrap() }
+    }
+}
+
+/// What every machine has.
+pub fn places() -> [Place; 2] {
+    [Place::default(), Place { operators: Operators::Portable, ..Place::default() }]
+}
 
 /// `count` numbers in [low, high): FNV-1a of the name, then SplitMix64 by index, 53 bits, rounded to f32.
 ///

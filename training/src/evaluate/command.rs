@@ -15,6 +15,7 @@ use super::{
     score::{path_m, score},
 };
 use crate::dataset_args::DatasetArgs;
+use crate::device::{DeviceArgs, DeviceName};
 use crate::report;
 
 /// Judge checkpoints on a recording with ground truth, beside what they have to beat.
@@ -47,6 +48,9 @@ pub struct EvaluateArgs {
     /// Compute no baseline.
     #[arg(long)]
     pub no_baselines: bool,
+    /// Where the networks compute.
+    #[command(flatten)]
+    pub device: DeviceArgs,
     /// Folder of the report; what an earlier report left there is replaced.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -153,15 +157,16 @@ impl EvaluateArgs {
             [] => vec![None],
             scenes => scenes.iter().map(|scene| Some(scene.as_path())).collect(),
         };
+        let (_, device) = self.device.open(DeviceName::Cpu, false)?;
         let mut taken = HashSet::new();
         let mut models = Vec::new();
         for checkpoint in &self.checkpoint {
             for scene in &scenes {
-                let model =
-                    LoadedModel::load(checkpoint, *scene).map_err(|source| EvaluateError::Checkpoint {
-                        path: scene.unwrap_or(checkpoint).to_path_buf(),
-                        source: Box::new(source),
-                    })?;
+                let model = LoadedModel::load_on(checkpoint, *scene, &device);
+                let model = model.map_err(|source| EvaluateError::Checkpoint {
+                    path: scene.unwrap_or(checkpoint).to_path_buf(),
+                    source: Box::new(source),
+                })?;
                 let shown = scene.filter(|_| scenes.len() > 1).unwrap_or(checkpoint);
                 let name = unique(&mut taken, shown);
                 let files = [Some(checkpoint.as_path()), *scene].into_iter().flatten();

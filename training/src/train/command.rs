@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use candle_core::Device;
 use clap::Args;
 use grnet_model::{Checkpoint, Heads};
 
@@ -14,6 +13,7 @@ use super::export::{self, Facts};
 use super::initial::{self, Initial};
 use super::sources::Sources;
 use super::trainer::{Outcome, Trainer};
+use crate::device::{DeviceArgs, DeviceName};
 use crate::loss::Head;
 use crate::run::{RunFolder, RunIdentity, stop_flag};
 
@@ -32,6 +32,9 @@ pub struct TrainArgs {
     /// Computing threads, instead of the recipe's.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
+    /// Where it computes.
+    #[command(flatten)]
+    pub device: DeviceArgs,
 }
 
 /// Runs the command.
@@ -45,7 +48,8 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
         let stem = args.config.file_stem().unwrap_or_else(|| args.config.as_os_str());
         Path::new("runs").join(stem)
     });
-    let run = Run { recipe, text, origin: args.config.clone(), out, resume: args.resume };
+    let (origin, device) = (args.config.clone(), args.device);
+    let run = Run { recipe, text, origin, out, resume: args.resume, device };
     if let Some(trained) = run.train()? {
         trained.save_complete(&run.out)?;
     }
@@ -65,6 +69,8 @@ pub struct Run {
     pub out: PathBuf,
     /// Whether a run there is gone on with.
     pub resume: bool,
+    /// Where it computes, instead of where the recipe says.
+    pub device: DeviceArgs,
 }
 
 /// What a finished training gives.
@@ -90,8 +96,8 @@ impl Run {
     }
 
     fn train_here(&self, threads: usize) -> anyhow::Result<Option<Trained>> {
-        let device = Device::Cpu;
         let recipe = &self.recipe;
+        let (name, device) = self.device.open(recipe.device, recipe.tf32)?;
         let (network, preprocessing, checkpoint) = initial::plan(recipe, &self.origin)?;
         let sources = Sources::open(recipe, &network, &preprocessing)?;
         for line in sources.describe() {
@@ -104,7 +110,7 @@ impl Run {
             seed: recipe.seed,
             fingerprint: sources.fingerprint(),
             threads,
-            details: start.source.iter().map(|hash| ("initial weights".to_owned(), hash.clone())).collect(),
+            details: self.details(name, start.source.as_deref()),
         };
         let folder = match self.resume {
             true => RunFolder::resume(&self.out, &identity)?,
@@ -132,6 +138,17 @@ impl Run {
         };
         let checkpoint = export::checkpoint(&parameters, recipe, &facts, &metadata)?;
         Ok(Some(Trained { checkpoint, calibration }))
+    }
+
+    /// What decides about the weights beside recipe, data and threads.
+    fn details(&self, device: DeviceName, source: Option<&str>) -> BTreeMap<String, String> {
+        let mut details = BTreeMap::new();
+        details.extend(source.map(|hash| ("initial weights".to_owned(), hash.to_owned())));
+        if device != DeviceName::Cpu {
+            let precision = if self.device.tf32 || self.recipe.tf32 { " with TF32" } else { "" };
+            details.insert("device".to_owned(), format!("{device}{precision}"));
+        }
+        details
     }
 }
 

@@ -10,6 +10,7 @@ use super::parameters::Part;
 use super::schedule::{Decay, Schedule};
 use super::sources::DataConfig;
 use super::{ConfigError, TrainError};
+use crate::device::DeviceName;
 use crate::loss::{Head, Loss};
 
 /// A recipe.
@@ -24,6 +25,12 @@ pub struct Recipe {
     /// Threads that make windows ahead of the training.
     #[serde(default = "one")]
     pub loader_threads: usize,
+    /// Where it computes: `cpu`, `cuda` or `cuda:N`. Only on the CPU do runs repeat and resume bit for bit.
+    #[serde(default)]
+    pub device: DeviceName,
+    /// On a GPU: matrix products round their factors to 10 bits (TF32), which is faster.
+    #[serde(default)]
+    pub tf32: bool,
     /// The paper's losses as written, or with learned weights and a proper rotation residual.
     #[serde(default = "learned")]
     pub loss: Loss,

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use grnet_geometry::Pose;
 use grnet_model::Network;
 use rand::{Rng as _, SeedableRng as _};
@@ -112,7 +112,9 @@ impl FeatureCache {
             }
             let Batch { images, world_from_camera, names, .. } = loader.next()?;
             let (windows, frames, ..) = images.dims5()?;
-            let features = network.features(&images.flatten(0, 1)?)?.detach(); // (B, K, 3, H, W) -> (B K, C, h, w)
+            // (B, K, 3, H, W) -> (B K, C, h, w); kept in the host's memory, of which there is more.
+            let images = images.flatten(0, 1)?.to_device(network.device())?;
+            let features = network.features(&images)?.detach().to_device(&Device::Cpu)?;
             let (_, channels, height, width) = features.dims4()?;
             let by_window = features.reshape((windows, frames, channels, height, width))?;
             for index in 0..windows {

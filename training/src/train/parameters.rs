@@ -71,7 +71,6 @@ impl Parameters {
                 let Some(running) = self.statistics.get_mut(&key) else {
                     return Err(TrainError::UnknownTensor { tensor: key });
                 };
-                let of_batch = Tensor::from_vec(of_batch, running.shape(), running.device())?;
                 *running = (running.affine(1.0 - MOMENTUM, 0.0)? + of_batch.affine(MOMENTUM, 0.0)?)?;
             }
         }
@@ -95,9 +94,9 @@ impl Parameters {
     pub fn restore(&mut self, tensors: impl IntoIterator<Item = (String, Tensor)>) -> Result<(), TrainError> {
         for (name, tensor) in tensors {
             if let Some(var) = self.weights.get(&name) {
-                var.set(&tensor)?;
+                var.set(&tensor.to_device(var.device())?)?;
             } else if let Some(statistic) = self.statistics.get_mut(&name) {
-                *statistic = tensor;
+                *statistic = tensor.to_device(statistic.device())?;
             } else {
                 return Err(TrainError::UnknownTensor { tensor: name });
             }

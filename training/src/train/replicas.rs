@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use candle_core::backprop::GradStore;
-use candle_core::{Tensor, Var};
+use candle_core::{Device, Tensor, Var};
 use grnet_geometry::Pose;
 use grnet_model::{BatchStatistics, LayerStatistics, Network};
 use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
@@ -70,14 +70,16 @@ pub fn gradient(
     let per_replica = windows.div_ceil(replicas.len().max(1));
     let jobs: Vec<(&Replica, usize)> =
         replicas.iter().zip((0..windows).step_by(per_replica.max(1))).collect();
-    let shares: Vec<Result<Share, TrainError>> = jobs
-        .par_iter()
-        .map(|(replica, first)| {
-            let count = per_replica.min(windows - first);
-            let poses = &world_from_camera[*first..first + count];
-            share(replica, objective, &input.narrow(*first, count)?, poses, count as f64 / windows as f64)
-        })
-        .collect();
+    let run = |(replica, first): &(&Replica, usize)| {
+        let count = per_replica.min(windows - first);
+        let poses = &world_from_camera[*first..first + count];
+        share(replica, objective, &input.narrow(*first, count)?, poses, count as f64 / windows as f64)
+    };
+    // A single copy may be on a GPU, whose work belongs on this thread.
+    let shares: Vec<Result<Share, TrainError>> = match jobs.as_slice() {
+        [job] => vec![run(job)],
+        jobs => jobs.par_iter().map(run).collect(),
+    };
     let mut merged = Gradient { loss: 0.0, parts: BTreeMap::new(), grads: None, statistics: Vec::new() };
     let mut stores = Vec::new();
     for share in shares {
@@ -153,6 +155,17 @@ impl Input {
         match self {
             Self::Images(images) => Ok(Self::Images(images.narrow(0, first, count)?)),
             Self::Features(features) => Ok(Self::Features(features.narrow(0, first, count)?)),
+        }
+    }
+
+    /// The same on another device.
+    ///
+    /// # Errors
+    /// When that has no memory left.
+    pub fn to_device(&self, device: &Device) -> candle_core::Result<Self> {
+        match self {
+            Self::Images(images) => Ok(Self::Images(images.to_device(device)?)),
+            Self::Features(features) => Ok(Self::Features(features.to_device(device)?)),
         }
     }
 

@@ -10,6 +10,7 @@ use super::command::Run;
 use super::config::{Init, Recipe, Scene};
 use super::parameters::Part;
 use super::sources::DataConfig;
+use crate::device::DeviceArgs;
 
 /// The recipe that is used when none is given.
 pub const DEFAULT_RECIPE: &str = include_str!("../../recipes/scene.toml");
@@ -42,6 +43,9 @@ pub struct SceneArgs {
     /// Go on with the run in that folder.
     #[arg(long)]
     pub resume: bool,
+    /// Where it computes.
+    #[command(flatten)]
+    pub device: DeviceArgs,
 }
 
 /// Runs the command.
@@ -90,7 +94,7 @@ pub fn run(args: &SceneArgs) -> anyhow::Result<()> {
         recipe.scene = Some(Scene { id: name.clone(), name: None });
     }
     let out = args.run.clone().unwrap_or_else(|| PathBuf::from("runs").join(format!("scene-{name}")));
-    let run = Run { recipe, text, origin, out, resume: args.resume };
+    let run = Run { recipe, text, origin, out, resume: args.resume, device: args.device };
     let Some(trained) = run.train()? else { return Ok(()) };
     let (made, scene) = trained.checkpoint.clone().split()?;
     // The frozen part was stored as it came, so that the scene belongs to the very trunk that is on the robot.

@@ -28,7 +28,7 @@ pub struct Position {
     pub stage_step: u64,
 }
 
-/// Everything that goes into a file.
+/// Everything that goes into a file; no moments where the next step is the first of a stage.
 ///
 /// # Errors
 /// When memory runs out.
@@ -36,7 +36,7 @@ pub fn pack(
     at: Position,
     parameters: &Parameters,
     homoscedastic: Option<&Homoscedastic>,
-    adam: &Adam,
+    adam: Option<&Adam>,
 ) -> Result<State, TrainError> {
     let mut tensors = BTreeMap::new();
     for (name, tensor) in parameters.snapshot()? {
@@ -45,11 +45,9 @@ pub fn pack(
     for (name, var) in homoscedastic.into_iter().flat_map(Homoscedastic::vars) {
         tensors.insert(name, values(var.as_tensor())?);
     }
-    let AdamState { moments, steps } = adam.state();
-    let mut numbers = BTreeMap::from([
-        (OPTIMIZER_STEPS.to_owned(), steps.into()),
-        (STAGE_STEP.to_owned(), at.stage_step.into()),
-    ]);
+    let mut numbers = BTreeMap::from([(STAGE_STEP.to_owned(), at.stage_step.into())]);
+    let AdamState { moments, steps } = adam.map(Adam::state).transpose()?.unwrap_or_default();
+    numbers.insert(OPTIMIZER_STEPS.to_owned(), steps.into());
     for (name, AdamMoments { first, second, steps }) in moments {
         let shape = vec![first.len()];
         tensors.insert(format!("{FIRST}{name}"), StateTensor { shape: shape.clone(), values: first });
@@ -97,7 +95,7 @@ pub fn restore_weights(
 /// When the state has no moments of a parameter.
 pub fn restore_adam(state: &State, adam: &mut Adam) -> Result<(), TrainError> {
     let mut moments = BTreeMap::new();
-    for name in adam.state().moments.into_keys() {
+    for name in adam.lengths().into_keys() {
         let find = |kind: &str| {
             let key = format!("{kind}{name}");
             state.tensors.get(&key).map(|stored| stored.values.clone()).ok_or(TrainError::State { what: key })

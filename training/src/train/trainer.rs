@@ -140,7 +140,7 @@ impl<'a> Trainer<'a> {
 
         while self.at.stage_step < stage.steps {
             if stop.load(Ordering::Relaxed) {
-                self.save(&adam)?;
+                self.save(Some(&adam))?;
                 progress.say("stopped; the state is saved");
                 progress.finish();
                 return Ok(Outcome::Stopped);
@@ -148,13 +148,18 @@ impl<'a> Trainer<'a> {
             let Shown { input, world_from_camera, names } = match feed.next(self.at) {
                 Ok(shown) => shown,
                 Err(error) => {
-                    self.save(&adam)?;
+                    self.save(Some(&adam))?;
                     return Err(error);
                 }
             };
             let objective = self.objective(stage);
-            let Gradient { loss, parts, grads, statistics } =
-                gradient(&replicas, &objective, &input, &world_from_camera, &trained)?;
+            let Gradient { loss, parts, grads, statistics } = gradient(
+                &replicas,
+                &objective,
+                &input.to_device(&self.device)?,
+                &world_from_camera,
+                &trained,
+            )?;
             let lr = stage.schedule().at(self.at.stage_step);
             let norm = match &grads {
                 Some(grads) => adam.step(grads, lr, stage.max_norm())?.grad_norm,
@@ -190,14 +195,14 @@ impl<'a> Trainer<'a> {
             }
             self.validate(stage, last)?;
             if saved_at.elapsed() >= Duration::from_secs(self.recipe.save_every_s) {
-                self.save(&adam)?;
+                self.save(Some(&adam))?;
                 self.folder.draw_curves()?;
                 saved_at = Instant::now();
             }
         }
         // The next stage starts with moments of its own: what is saved here is its start.
         self.at = Position { step: self.at.step, stage: self.at.stage + 1, stage_step: 0 };
-        self.save(&adam)?;
+        self.save(None)?;
         progress.finish();
         Ok(Outcome::Finished)
     }
@@ -211,7 +216,9 @@ impl<'a> Trainer<'a> {
         let config = self.parameters.config();
         let branches = self.objective(stage).branches(config);
         let config = grnet_model::NetworkConfig { branches, ..config.clone() };
-        let count = rayon::current_num_threads().min(stage.batch);
+        // A GPU computes the whole batch at once.
+        let cores = if self.device.is_cpu() { rayon::current_num_threads() } else { 1 };
+        let count = cores.min(stage.batch);
         let copy = |_| {
             let statistics = (!stage.freeze_batch_norm).then(BatchStatistics::default);
             let vb = self.parameters.var_builder(&stage.train, &self.device);
@@ -240,7 +247,7 @@ impl<'a> Trainer<'a> {
         params
     }
 
-    fn save(&self, adam: &Adam) -> Result<(), TrainError> {
+    fn save(&self, adam: Option<&Adam>) -> Result<(), TrainError> {
         let state = state::pack(self.at, &self.parameters, self.homoscedastic.as_ref(), adam)?;
         Ok(self.folder.save_state(&state)?)
     }

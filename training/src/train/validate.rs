@@ -109,7 +109,8 @@ impl Validator {
         let network = Network::for_training(&config, parameters.var_builder(&[], device), None)?;
         let mut found: BTreeMap<Head, Vec<Predicted>> = BTreeMap::new();
         for batch in &self.batches {
-            let WindowOutput { relative, global, fused } = network.window(&batch.images)?;
+            let WindowOutput { relative, global, fused } =
+                network.window(&batch.images.to_device(device)?)?;
             let heads = [
                 (Head::Relative, weights.relative, relative),
                 (Head::Global, weights.global, global),
