@@ -10,7 +10,7 @@ import torch.nn.functional as F
 
 PRESETS = {
     "grnet": dict(width=1.0, side=224, hidden=1000, fc=1024, rotation=4, flatten=None),
-    "grnet-small": dict(width=0.25, side=112, hidden=256, fc=256, rotation=6, flatten=32),
+    "grnet-small": dict(width=0.25, side=112, hidden=128, fc=128, rotation=6, flatten=32),
 }
 K = 5
 
