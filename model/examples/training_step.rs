@@ -1,18 +1,22 @@
 //! Training steps on demand, to be timed beside another implementation: `training_step PRESET WINDOWS THREADS`.
 //!
 //! Every line on stdin asks for one step (forward, backward and Adam over `WINDOWS` windows of K frames); the answer is
-//! a line "milliseconds of wall clock, of processor time, peak memory in KiB". `scripts/bench-training` drives it, and sets
-//! RAYON_NUM_THREADS to the same number, by which candle counts its own threads.
+//! a line "milliseconds of wall clock, of processor time, peak memory in KiB". `scripts/bench-training` drives it.
+//!
+//! As in `grnet-train`, each thread has a copy of the network that shares its weights and takes some of the windows, as far as there are
+//! windows for all; the script holds candle's own threads to one (CANDLE_NUM_THREADS).
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, Write};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use grnet_model::candle_core::backprop::GradStore;
 use grnet_model::candle_core::{DType, Device, Tensor, Var};
 use grnet_model::candle_nn::VarBuilder;
 use grnet_model::ops::{Adam, AdamOptions, AdamParam};
 use grnet_model::{BatchStatistics, HeadTensors, Network, NetworkConfig, Preprocessing, untrained};
+use rayon::prelude::*;
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -22,7 +26,7 @@ fn main() -> Result<()> {
     let threads = threads.parse().with_context(|| format!("{threads:?} is no number of threads"))?;
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     let windows: usize = windows.parse().with_context(|| format!("{windows:?} is no number of windows"))?;
-    let mut step = Step::new(&NetworkConfig::preset(preset)?, windows)?;
+    let mut step = Step::new(&NetworkConfig::preset(preset)?, windows, threads)?;
     for line in std::io::stdin().lock().lines() {
         line?;
         let (wall, cpu) = (Instant::now(), processor_ms()?);
@@ -35,14 +39,14 @@ fn main() -> Result<()> {
 }
 
 struct Step {
-    network: Network,
-    statistics: BatchStatistics,
+    copies: Vec<(Network, BatchStatistics)>,
+    variables: Vec<Var>,
     adam: Adam,
     images: Tensor,
 }
 
 impl Step {
-    fn new(config: &NetworkConfig, windows: usize) -> Result<Self> {
+    fn new(config: &NetworkConfig, windows: usize, threads: usize) -> Result<Self> {
         let learnt: HashMap<String, bool> =
             config.tensors().into_iter().map(|t| (t.name, t.learnt)).collect();
         let (mut tensors, mut params) = (HashMap::new(), BTreeMap::new());
@@ -56,33 +60,59 @@ impl Step {
                 tensors.insert(name, tensor);
             }
         }
-        let statistics = BatchStatistics::default();
-        let vb = VarBuilder::from_tensors(tensors, DType::F32, &Device::Cpu);
-        let network = Network::for_training(config, vb, Some(statistics.clone()))?;
+        let copy = |_| {
+            let statistics = BatchStatistics::default();
+            let vb = VarBuilder::from_tensors(tensors.clone(), DType::F32, &Device::Cpu);
+            Ok((Network::for_training(config, vb, Some(statistics.clone()))?, statistics))
+        };
+        let share = windows.div_ceil(threads.min(windows));
+        let copies = (0..windows.div_ceil(share)).map(copy).collect::<Result<_>>()?;
         let shape = (windows, config.k, 3, config.input_height_px, config.input_width_px);
         let count = windows * config.k * 3 * config.input_height_px * config.input_width_px;
         let values = (0..count).map(|i| (i * 7919 % 2003) as f32 / 1001.0 - 1.0).collect::<Vec<_>>();
         let images = Tensor::from_vec(values, shape, &Device::Cpu)?;
-        Ok(Self { network, statistics, adam: Adam::new(params, AdamOptions::default())?, images })
+        let variables = params.values().map(|param| param.var.clone()).collect();
+        Ok(Self { copies, variables, adam: Adam::new(params, AdamOptions::default())?, images })
     }
 
-    /// The mean square of every output stands for the loss.
     fn run(&mut self) -> Result<()> {
-        let output = self.network.window(&self.images)?;
-        let heads = [&output.relative, &output.global, &output.fused].into_iter().flatten();
-        let tensors = heads.flat_map(|HeadTensors { translation, rotation, log_variance }| {
-            [Some(translation), Some(rotation), log_variance.as_ref()].into_iter().flatten()
+        let windows = self.images.dim(0)?;
+        let share = windows.div_ceil(self.copies.len());
+        let gradients = self.copies.par_iter().enumerate().map(|(index, (network, _))| {
+            let count = share.min(windows - index * share);
+            let loss = loss(network, &self.images.narrow(0, index * share, count)?)?;
+            Ok((loss * (count as f64 / windows as f64))?.backward()?)
         });
-        let mut loss = Tensor::zeros((), DType::F32, &Device::Cpu)?;
-        for tensor in tensors {
-            loss = (loss + tensor.sqr()?.mean_all()?)?;
+        let mut gradients = gradients.collect::<Result<Vec<GradStore>>>()?;
+        let mut sum = gradients.swap_remove(0);
+        for var in &self.variables {
+            let others = gradients.iter().filter_map(|other| other.get(var));
+            if let Some(mut total) = sum.remove(var) {
+                for other in others {
+                    total = (total + other)?;
+                }
+                sum.insert(var, total);
+            }
         }
-        let gradients = loss.backward()?;
-        let report = self.adam.step(&gradients, 1e-5, Some(10.0))?;
+        let report = self.adam.step(&sum, 1e-5, Some(10.0))?;
         anyhow::ensure!(report.applied, "the gradients are not finite");
-        self.statistics.take();
+        self.copies.iter().for_each(|(_, statistics)| drop(statistics.take()));
         Ok(())
     }
+}
+
+/// The mean square of every output stands for the loss.
+fn loss(network: &Network, images: &Tensor) -> Result<Tensor> {
+    let output = network.window(images)?;
+    let heads = [&output.relative, &output.global, &output.fused].into_iter().flatten();
+    let tensors = heads.flat_map(|HeadTensors { translation, rotation, log_variance }| {
+        [Some(translation), Some(rotation), log_variance.as_ref()].into_iter().flatten()
+    });
+    let mut loss = Tensor::zeros((), DType::F32, &Device::Cpu)?;
+    for tensor in tensors {
+        loss = (loss + tensor.sqr()?.mean_all()?)?;
+    }
+    Ok(loss)
 }
 
 /// Processor time of this process so far.

@@ -42,11 +42,11 @@ impl Cli {
             Command::Synth(args) => synth::command::run(&args),
             Command::Init(args) => init::run(&args),
             Command::Train(args) => {
-                train::one_thread_per_operator()?;
+                train::restart_for_training()?;
                 train::command::run(&args)
             }
             Command::Scene(args) => {
-                train::one_thread_per_operator()?;
+                train::restart_for_training()?;
                 train::scene::run(&args)
             }
             Command::Score(args) => score::run(&args),
