@@ -77,11 +77,13 @@ bench-training: ## training steps beside PyTorch's, in turns (long; fetches PyTo
 
 .PHONY: test-cuda
 test-cuda: ## operators and networks on an NVIDIA GPU against the CPU and PyTorch (needs the CUDA tool kit)
+	@scripts/install-packages build
 	$(CARGO) test -p grnet-model --features cuda --test ops --test training -- --include-ignored --test-threads 1
 	$(CARGO) test -p grnet-train --features cuda --test cuda -- --include-ignored --test-threads 1
 
 .PHONY: bench-cuda
 bench-cuda: ## training and streaming steps on an NVIDIA GPU beside PyTorch's (needs the CUDA tool kit; fetches PyTorch once)
+	@scripts/install-packages build
 	@scripts/python-venv torch==2.15.0 numpy==2.4.6
 	$(CARGO) build --release -p grnet-model --features cuda --example gpu_step
 	@scripts/bench-cuda $${CARGO_TARGET_DIR:-target}/release/examples/gpu_step $${CARGO_TARGET_DIR:-target}/venv/bin/python

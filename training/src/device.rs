@@ -35,6 +35,11 @@ pub enum DeviceError {
         /// The device.
         name: DeviceName,
     },
+    /// TF32 was asked of the processor.
+    #[error(
+        "--tf32 is about an NVIDIA GPU, and this would compute on the CPU; add --device cuda, or leave it out"
+    )]
+    Tf32OnCpu,
     /// The driver refuses.
     #[error("cannot use {name}; `nvidia-smi` lists the GPUs that the driver sees")]
     Open {
@@ -80,6 +85,9 @@ impl DeviceArgs {
     /// As [`DeviceName::open`].
     pub fn open(&self, otherwise: DeviceName, tf32: bool) -> Result<(DeviceName, Device), DeviceError> {
         let name = self.device.unwrap_or(otherwise);
+        if self.tf32 && name == DeviceName::Cpu {
+            return Err(DeviceError::Tf32OnCpu);
+        }
         let opened = name.open()?;
         device::allow_tf32(self.tf32 || tf32);
         if let Some(about) = device::describe(&opened) {
@@ -137,6 +145,14 @@ mod tests {
             let error = text.parse::<DeviceName>().unwrap_err().to_string();
             assert!(error.contains(&format!("\"{text}\"")), "{error}");
         }
+    }
+
+    #[test]
+    fn tf32_is_refused_on_the_cpu_and_a_recipes_waits_for_a_gpu() {
+        let args = |tf32| DeviceArgs { device: None, tf32 };
+        let error = args(true).open(DeviceName::Cpu, false).unwrap_err().to_string();
+        assert!(error.contains("--tf32") && error.contains("--device cuda"), "{error}");
+        assert_eq!(args(false).open(DeviceName::Cpu, true).unwrap().0, DeviceName::Cpu);
     }
 
     #[cfg(not(feature = "cuda"))]
