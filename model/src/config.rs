@@ -116,6 +116,11 @@ pub struct NetworkConfig {
     pub log_variance: bool,
     /// Carried LSTM state or a re-run over the last K frames.
     pub recurrence: Recurrence,
+    /// Least time between two key frames of a stream in milliseconds, 0..=10000: RCNN1 pairs every frame with the last key
+    /// frame. 0, as in the paper, makes every frame one. A time and not a number of frames, so that a slower camera, or a
+    /// slower computer, does not put the two further apart. Files that do not say were made for 0.
+    #[serde(default)]
+    pub keyframe_interval_ms: u32,
 }
 
 /// Names that [`NetworkConfig::preset`] knows.
@@ -143,13 +148,14 @@ impl NetworkConfig {
             fc3: 1024,
             log_variance: true,
             recurrence: Recurrence::Carry,
+            keyframe_interval_ms: 0,
         }
     }
 
     /// A network that runs in real time on one small core: width 1/4 at 112x112, flattened pool, 6-D rotation, LSTMs of 128.
     ///
     /// Its LSTMs are re-run over the last K frames, as they were trained: with a state carried on over hundreds of frames the
-    /// odometry drifted faster (`docs/results.md`).
+    /// odometry drifted faster (`docs/results.md`). Key frames: at 30 frames a second every fourth frame is one.
     pub fn grnet_small() -> Self {
         Self {
             width: 0.25,
@@ -162,6 +168,7 @@ impl NetworkConfig {
             fc2: 128,
             fc3: 128,
             recurrence: Recurrence::RerunLastK,
+            keyframe_interval_ms: 110,
             ..Self::grnet()
         }
     }
@@ -239,7 +246,8 @@ impl NetworkConfig {
         range("lstm_layers", self.lstm_layers, 1..=4)?;
         range("fc1", self.fc1, 1..=8192)?;
         range("fc2", self.fc2, 1..=8192)?;
-        range("fc3", self.fc3, 1..=8192)
+        range("fc3", self.fc3, 1..=8192)?;
+        range("keyframe_interval_ms", self.keyframe_interval_ms as usize, 0..=10_000)
     }
 
     /// Channels after the width multiplier: the nearest multiple of 8, at least 8.
@@ -334,6 +342,7 @@ mod tests {
             ("fc1", NetworkConfig { fc1: 0, ..base.clone() }),
             ("fc2", NetworkConfig { fc2: 8193, ..base.clone() }),
             ("fc3", NetworkConfig { fc3: 0, ..base.clone() }),
+            ("keyframe_interval_ms", NetworkConfig { keyframe_interval_ms: 10_001, ..base.clone() }),
         ];
         for (field, config) in bad {
             let error = config.validate().unwrap_err();

@@ -2,9 +2,9 @@
 //! and Odometry" (section "Proposed Model"), for inference on candle.
 //!
 //! ```text
-//!  image ── CNN1 ──┬── with the previous features ── RCNN1 ── fc1 ──┬── relative pose
-//!                  │                                                 ├── FCFL ── fused absolute pose
-//!                  └─────────────────────────────── RCNN2 ── fc2 ───┴── global absolute pose
+//!  image ── CNN1 ──┬── with those of a key frame ── RCNN1 ── fc1 ──┬── relative pose
+//!                  │                                                ├── FCFL ── fused absolute pose
+//!                  └────────────────────────────── RCNN2 ── fc2 ───┴── global absolute pose
 //! ```
 //!
 //! One file per network: [`cnn1`], [`rcnn1`], [`rcnn2`], [`fcfl`]; [`network`] puts them together. A [`NetworkConfig`]
@@ -65,6 +65,6 @@ pub use loaded::LoadedModel;
 pub use metadata::{
     CameraIntrinsics, CheckpointMetadata, HeadState, Heads, Kind, Provenance, RigidTransform, SceneInfo,
 };
-pub use network::{ModelError, Network, StepOutput, StepTensors, StreamState, WindowOutput};
+pub use network::{FrameRole, ModelError, Network, StepOutput, StepTensors, StreamState, WindowOutput};
 pub use preprocessing::{Colour, Filter, Preprocessing, ResizePolicy};
 pub use statistics::{BatchStatistics, LayerStatistics};

@@ -1,7 +1,11 @@
 //! The whole network: CNN1, RCNN1, RCNN2 and FCFL over a window of frames or frame by frame.
 //!
-//! Both forms pair the first frame with itself (its own features stand for the previous ones) and give the same numbers.
-//! Frame by frame CNN1 runs once: the previous features are part of the [`StreamState`].
+//! Both forms pair the first frame with itself and give the same numbers. Frame by frame CNN1 runs once: the features of
+//! the frame that RCNN1 pairs the next ones with are part of the [`StreamState`].
+//!
+//! Departure from the paper: that frame need not be the previous one. A stream may keep a *key frame*, as visual odometry
+//! does, and measure several frames against it ([`FrameRole`]): the motion since then is several pixels instead of a
+//! fraction of one, and only the errors of key frames add up.
 
 use candle_core::{DType, Device, Module, Tensor};
 use candle_nn::VarBuilder;
@@ -59,10 +63,19 @@ fn failed(action: &'static str) -> impl FnOnce(candle_core::Error) -> ModelError
     move |source| ModelError::Tensor { action, source }
 }
 
+/// What a frame of a stream is to those that follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum FrameRole {
+    /// RCNN1 pairs the next frames with it and remembers the pair that it was in.
+    Key,
+    /// RCNN1 measures it and forgets it. RCNN2 remembers every frame. The first frame of a stream is a key frame all the same.
+    Passing,
+}
+
 /// Outputs over a window; every tensor is (B, T, n). A branch that does not exist, or a head that is not live, is none.
 #[derive(Debug, Clone)]
 pub struct WindowOutput {
-    /// camera_previous_from_camera_current of every frame, from RCNN1.
+    /// camera_previous_from_camera_current of every frame, from RCNN1; previous in the window.
     pub relative: Option<HeadTensors>,
     /// world_from_camera of every frame, from RCNN2.
     pub global: Option<HeadTensors>,
@@ -75,7 +88,9 @@ pub struct WindowOutput {
 pub struct StepTensors {
     /// CNN1's features, (1, C, h, w).
     pub features: Tensor,
-    /// camera_previous_from_camera_current, from RCNN1.
+    /// Whether this frame is the key frame of those that follow.
+    pub is_key: bool,
+    /// camera_key_from_camera_current, from RCNN1: the motion since the last key frame before this one.
     pub relative: Option<HeadTensors>,
     /// world_from_camera, from RCNN2.
     pub global: Option<HeadTensors>,
@@ -86,7 +101,9 @@ pub struct StepTensors {
 /// Outputs of one streamed frame. A branch that does not exist, or a head that is not live, is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepOutput {
-    /// camera_previous_from_camera_current, from RCNN1.
+    /// Whether this frame is the key frame of those that follow.
+    pub is_key: bool,
+    /// camera_key_from_camera_current, from RCNN1: the motion since the last key frame before this one.
     pub relative: Option<HeadOutput>,
     /// world_from_camera, from RCNN2.
     pub global: Option<HeadOutput>,
@@ -94,10 +111,10 @@ pub struct StepOutput {
     pub fused: Option<HeadOutput>,
 }
 
-/// What a stream remembers between frames: the previous features and the memory of both recurrent branches.
+/// What a stream remembers between frames: the features of the last key frame and the memory of both recurrent branches.
 #[derive(Debug, Clone, Default)]
 pub struct StreamState {
-    previous_features: Option<Tensor>,
+    key_features: Option<Tensor>,
     relative: Memory,
     global: Memory,
 }
@@ -108,9 +125,9 @@ impl StreamState {
         *self = Self::default();
     }
 
-    /// Forgets motion: the previous features and the memory of RCNN1. The next frame is paired with itself.
+    /// Forgets motion: the key frame and the memory of RCNN1. The next frame is paired with itself.
     pub fn reset_relative(&mut self) {
-        self.previous_features = None;
+        self.key_features = None;
         self.relative = Memory::default();
     }
 
@@ -119,9 +136,9 @@ impl StreamState {
         self.global = Memory::default();
     }
 
-    /// CNN1's features of the last frame, (1, C, h, w); none before the first frame and after a reset.
-    pub fn previous_features(&self) -> Option<&Tensor> {
-        self.previous_features.as_ref()
+    /// CNN1's features of the last key frame, (1, C, h, w); none before the first frame and after a reset.
+    pub fn key_features(&self) -> Option<&Tensor> {
+        self.key_features.as_ref()
     }
 
     /// Memory of RCNN1.
@@ -240,7 +257,9 @@ impl Network {
 
     /// A window of T frames from its first frame on: images (B, T, 3, H, W) -> poses (B, T, n).
     ///
-    /// T is K in training; any T >= 1 is allowed and equals T calls of [`Network::step`] from the initial state.
+    /// T is K in training; any T >= 1 is allowed and equals T calls of [`Network::step`] from the initial state. Each frame is
+    /// paired with the one before it, so RCNN1's last output also equals that of a stream whose key frames were the window's
+    /// earlier frames, whatever passed between them.
     ///
     /// # Errors
     /// When the images are of another shape or type, or a tensor operation fails.
@@ -297,16 +316,31 @@ impl Network {
             .map_err(failed("run the network over a window's features"))
     }
 
+    /// One frame of a stream, which the next one is paired with, as in the paper: [`Network::step_as`] with
+    /// [`FrameRole::Key`].
+    ///
+    /// # Errors
+    /// As [`Network::step_as`].
+    pub fn step(&self, image: &Tensor, state: &mut StreamState) -> Result<StepOutput, ModelError> {
+        self.step_as(image, state, FrameRole::Key)
+    }
+
     /// One frame of a stream: image (1, 3, H, W) -> poses as plain numbers; `state` moves on.
     ///
     /// # Errors
     /// When the image is of another shape or type, or a tensor operation fails; `state` is then as before.
-    pub fn step(&self, image: &Tensor, state: &mut StreamState) -> Result<StepOutput, ModelError> {
+    pub fn step_as(
+        &self,
+        image: &Tensor,
+        state: &mut StreamState,
+        role: FrameRole,
+    ) -> Result<StepOutput, ModelError> {
         let mut next = state.clone();
-        let tensors = self.step_tensors(image, &mut next)?;
+        let tensors = self.step_tensors(image, &mut next, role)?;
         let numbers = |head: &Option<HeadTensors>| head.as_ref().map(HeadTensors::to_output).transpose();
         let read = || -> candle_core::Result<StepOutput> {
             Ok(StepOutput {
+                is_key: tensors.is_key,
                 relative: numbers(&tensors.relative)?,
                 global: numbers(&tensors.global)?,
                 fused: numbers(&tensors.fused)?,
@@ -317,41 +351,55 @@ impl Network {
         Ok(output)
     }
 
-    /// As [`Network::step`], with the outputs left as tensors and CNN1's features beside them.
+    /// As [`Network::step_as`], with the outputs left as tensors and CNN1's features beside them.
     ///
     /// # Errors
-    /// As [`Network::step`].
-    pub fn step_tensors(&self, image: &Tensor, state: &mut StreamState) -> Result<StepTensors, ModelError> {
+    /// As [`Network::step_as`].
+    pub fn step_tensors(
+        &self,
+        image: &Tensor,
+        state: &mut StreamState,
+        role: FrameRole,
+    ) -> Result<StepTensors, ModelError> {
         let (height, width) = (self.config.input_height_px, self.config.input_width_px);
         if image.dims() != [1, 3, height, width] || image.dtype() != DType::F32 {
             return Err(wrong_images(image, format!("(1, 3, {height}, {width})")));
         }
         let mut next = state.clone();
-        let output = self.frame(image, &mut next).map_err(failed("run the network on a frame"))?;
+        let output = self.frame(image, &mut next, role).map_err(failed("run the network on a frame"))?;
         *state = next;
         Ok(output)
     }
 
-    fn frame(&self, image: &Tensor, state: &mut StreamState) -> candle_core::Result<StepTensors> {
+    fn frame(
+        &self,
+        image: &Tensor,
+        state: &mut StreamState,
+        role: FrameRole,
+    ) -> candle_core::Result<StepTensors> {
         let features = self.cnn1.forward(image)?.detach(); // (1, C, h, w)
-        // The first frame, and the first after a reset, is its own predecessor.
-        let previous = state.previous_features.replace(features.clone()).unwrap_or_else(|| features.clone());
+        // The first frame, and the first after a reset, is a key frame and paired with itself.
+        let is_key = role == FrameRole::Key || state.key_features.is_none();
+        let key = state.key_features.get_or_insert_with(|| features.clone()).clone();
         let fc1 = match &self.rcnn1 {
             Some(rcnn1) => {
-                let pooled = rcnn1.pooled(&previous, &features)?; // (1, F)
-                Some(rcnn1.step(&pooled, &mut state.relative)?) // (1, fc1)
+                let pooled = rcnn1.pooled(&key, &features)?; // (1, F)
+                Some(rcnn1.step(&pooled, &mut state.relative, is_key)?) // (1, fc1)
             }
             None => None,
         };
         let fc2 = match &self.rcnn2 {
             Some(rcnn2) => {
                 let pooled = rcnn2.pooled(&features)?; // (1, F)
-                Some(rcnn2.step(&pooled, &mut state.global)?) // (1, fc2)
+                Some(rcnn2.step(&pooled, &mut state.global, true)?) // (1, fc2)
             }
             None => None,
         };
+        if is_key {
+            state.key_features = Some(features.clone());
+        }
         let (relative, global, fused) = self.heads(fc1.as_ref(), fc2.as_ref())?;
-        Ok(StepTensors { features, relative, global, fused })
+        Ok(StepTensors { features, is_key, relative, global, fused })
     }
 
     /// The sub-networks on features (B * T, C, h, w).

@@ -2,6 +2,8 @@
 //! and the current frame, concatenated, go through the last residual blocks of ResNet-50 (Res 5), two LSTMs and fc1.
 //!
 //! Departures and readings:
+//! * "Previous" is the last key frame, which is the frame before only where every frame is one, as in the paper
+//!   ([`FrameRole`](crate::FrameRole)).
 //! * Res5 keeps `res5_channels` outputs (2048 in ResNet-50); the paper's "W x H x 1024" is what Res4 gives per frame.
 //! * No activation stands behind fc1: the paper names none.
 //! * The pose heads fc4 and fc5, which the paper puts on fc1 "for the time being" of stage 1, stay at run time: they give
@@ -61,12 +63,12 @@ impl Rcnn1 {
         self.pool.forward(&self.operators.leave(&map)?)
     }
 
-    /// One frame: pooled (1, F) -> fc1 (1, fc1).
+    /// One frame: pooled (1, F) -> fc1 (1, fc1); `remember` as in [`Recurrent::step`].
     ///
     /// # Errors
     /// When shapes do not fit.
-    pub fn step(&self, pooled: &Tensor, memory: &mut Memory) -> Result<Tensor> {
-        self.fc1.forward(&self.lstm.step(pooled, memory)?)
+    pub fn step(&self, pooled: &Tensor, memory: &mut Memory, remember: bool) -> Result<Tensor> {
+        self.fc1.forward(&self.lstm.step(pooled, memory, remember)?)
     }
 
     /// A window: pooled (B, T, F) -> fc1 (B * T, fc1).

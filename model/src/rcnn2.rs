@@ -60,12 +60,12 @@ impl Rcnn2 {
         self.pool.forward(&self.operators.leave(&map)?)
     }
 
-    /// One frame: pooled (1, F) -> fc2 (1, fc2).
+    /// One frame: pooled (1, F) -> fc2 (1, fc2); `remember` as in [`Recurrent::step`].
     ///
     /// # Errors
     /// When shapes do not fit.
-    pub fn step(&self, pooled: &Tensor, memory: &mut Memory) -> Result<Tensor> {
-        self.fc2.forward(&self.lstm.step(pooled, memory)?)
+    pub fn step(&self, pooled: &Tensor, memory: &mut Memory, remember: bool) -> Result<Tensor> {
+        self.fc2.forward(&self.lstm.step(pooled, memory, remember)?)
     }
 
     /// A window: pooled (B, T, F) -> fc2 (B * T, fc2).

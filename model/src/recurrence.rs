@@ -46,29 +46,37 @@ impl Recurrent {
         Ok(Self { lstm, recurrence: config.recurrence, k: config.k })
     }
 
-    /// One frame: pooled features (1, F) -> (1, hidden); `memory` moves on.
+    /// One frame: pooled features (1, F) -> (1, hidden). `memory` moves on if the frame is to be remembered, and stays as it
+    /// is if it is not.
     ///
     /// # Errors
     /// When shapes do not fit.
-    pub fn step(&self, pooled: &Tensor, memory: &mut Memory) -> Result<Tensor> {
+    pub fn step(&self, pooled: &Tensor, memory: &mut Memory, remember: bool) -> Result<Tensor> {
         match self.recurrence {
             Recurrence::Carry => {
-                let state = match memory.carried.take() {
-                    Some(state) => state,
+                let before = match &memory.carried {
+                    Some(state) => state.clone(),
                     None => self.lstm.zero_state(1, pooled.device())?,
                 };
-                let (y, state) = self.lstm.forward(&pooled.unsqueeze(1)?, &state)?; // (1, F) -> (1, 1, F)
-                // A state that kept its history would keep every earlier frame in memory.
-                memory.carried = Some(state.detach());
+                let (y, state) = self.lstm.forward(&pooled.unsqueeze(1)?, &before)?; // (1, F) -> (1, 1, F)
+                if remember {
+                    // A state that kept its history would keep every earlier frame in memory.
+                    memory.carried = Some(state.detach());
+                }
                 y.squeeze(1) // (1, 1, hidden) -> (1, hidden)
             }
             Recurrence::RerunLastK => {
-                memory.pooled.push_back(pooled.detach());
-                if memory.pooled.len() > self.k {
-                    memory.pooled.pop_front();
+                let pooled = pooled.detach();
+                let earlier = memory.pooled.len().saturating_sub(self.k - 1);
+                let frames: Vec<&Tensor> = memory.pooled.iter().skip(earlier).chain([&pooled]).collect();
+                let y = self.last_of(&Tensor::stack(&frames, 1)?)?; // up to K x (1, F) -> (1, K, F)
+                if remember {
+                    memory.pooled.push_back(pooled);
+                    if memory.pooled.len() > self.k {
+                        memory.pooled.pop_front();
+                    }
                 }
-                let frames: Vec<&Tensor> = memory.pooled.iter().collect();
-                self.last_of(&Tensor::stack(&frames, 1)?) // up to K x (1, F) -> (1, K, F)
+                Ok(y)
             }
         }
     }

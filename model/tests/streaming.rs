@@ -4,9 +4,12 @@ mod common;
 
 use common::{difference, frame_for, network, tiny, values};
 use grnet_model::candle_core::{DType, Device, Tensor};
+use grnet_model::candle_nn::VarBuilder;
+use grnet_model::rcnn1::Rcnn1;
+use grnet_model::rcnn2::Rcnn2;
 use grnet_model::{
-    Branches, HeadState, HeadTensors, Heads, ModelError, Network, NetworkConfig, Recurrence, SpatialPool,
-    StepOutput, StreamState,
+    Branches, FrameRole, HeadState, HeadTensors, Heads, ModelError, Network, NetworkConfig, Recurrence,
+    SpatialPool, StepOutput, StreamState,
 };
 
 const SAME: f32 = 1e-5;
@@ -105,8 +108,84 @@ fn the_first_frame_is_paired_with_itself() {
     let other = run(&memoryless, &mut memoryless.initial_state(), &[frame_for(&config, 1), image.clone()]);
     assert_ne!(other[1].relative, twice[0].relative, "the previous frame must matter");
     let mut state = network.initial_state();
-    let features = network.step_tensors(&image, &mut state).unwrap().features;
-    assert_eq!(values(state.previous_features().unwrap()), values(&features));
+    let features = network.step_tensors(&image, &mut state, FrameRole::Key).unwrap().features;
+    assert_eq!(values(state.key_features().unwrap()), values(&features));
+}
+
+/// Streams `order`; every `interval`-th frame is a key frame.
+fn run_with_keys(
+    network: &Network,
+    state: &mut StreamState,
+    order: &[usize],
+    interval: usize,
+) -> Vec<StepOutput> {
+    let role = |t: usize| if t.is_multiple_of(interval) { FrameRole::Key } else { FrameRole::Passing };
+    let images = frames(network.config(), order);
+    images.iter().enumerate().map(|(t, image)| network.step_as(image, state, role(t)).unwrap()).collect()
+}
+
+#[test]
+fn passing_frames_are_measured_from_the_key_frame_and_forgotten() {
+    const INTERVAL: usize = 3;
+    for recurrence in [Recurrence::Carry, Recurrence::RerunLastK] {
+        let config = NetworkConfig { recurrence, ..tiny() };
+        let network = network(&config);
+        let order: Vec<usize> = (0..11).collect();
+        let steps = run_with_keys(&network, &mut network.initial_state(), &order, INTERVAL);
+        for (t, step) in steps.iter().enumerate() {
+            assert_eq!(step.is_key, t.is_multiple_of(INTERVAL));
+            // RCNN1 saw the key frames before this one and this one; RCNN2 every frame.
+            let seen: Vec<usize> = (0..t).step_by(INTERVAL).chain([t]).collect();
+            let window = |order: &[usize]| {
+                let images = Tensor::stack(&frames(&config, order), 1).unwrap(); // T x (1, 3, H, W) -> (1, T, 3, H, W)
+                network.window(&images).unwrap()
+            };
+            let relative = window(&seen).relative.unwrap();
+            assert_row_equals(&relative, 0, seen.len() - 1, step.relative.as_ref().unwrap());
+            let global = window(&order[..=t]).global.unwrap();
+            assert_row_equals(&global, 0, t, step.global.as_ref().unwrap());
+        }
+    }
+}
+
+#[test]
+fn the_fused_pose_of_a_passing_frame_reads_both_memories() {
+    let config = NetworkConfig { recurrence: Recurrence::RerunLastK, ..tiny() };
+    let network = network(&config);
+    let order: Vec<usize> = (0..6).collect();
+    let steps = run_with_keys(&network, &mut network.initial_state(), &order, 4);
+    // By hand, for frame 5: RCNN1 has the pairs 0 0, 0 4 and 4 5, RCNN2 the last K = 3 frames.
+    assert_eq!(config.k, 3);
+    let vb = VarBuilder::from_tensors(common::weights(&config), DType::F32, &Device::Cpu);
+    let features =
+        |order: &[usize]| network.features(&Tensor::cat(&frames(&config, order), 0).unwrap()).unwrap();
+    let rcnn1 = Rcnn1::new(&config, vb.pp("rcnn1")).unwrap();
+    let pairs = rcnn1.pooled(&features(&[0, 0, 4]), &features(&[0, 4, 5])).unwrap(); // (3, F)
+    let fc1 = rcnn1.window(&pairs.unsqueeze(0).unwrap()).unwrap(); // (3, fc1)
+    let rcnn2 = Rcnn2::new(&config, vb.pp("rcnn2")).unwrap();
+    let fc2 = rcnn2.window(&rcnn2.pooled(&features(&[3, 4, 5])).unwrap().unsqueeze(0).unwrap()).unwrap(); // (3, fc2)
+    let fcfl = grnet_model::fcfl::Fcfl::new(&config, vb.pp("fcfl")).unwrap();
+    let fused = fcfl.forward(&fc1, &fc2).unwrap(); // (3, n)
+    let window = |tensor: &Tensor| tensor.unsqueeze(0).unwrap(); // (3, n) -> (1, 3, n)
+    let fused = HeadTensors {
+        translation: window(&fused.translation),
+        rotation: window(&fused.rotation),
+        log_variance: fused.log_variance.as_ref().map(window),
+    };
+    assert_row_equals(&fused, 0, 2, steps[5].fused.as_ref().unwrap());
+}
+
+#[test]
+fn after_a_reset_the_next_frame_is_a_key_frame_whatever_is_asked() {
+    let config = tiny();
+    let network = network(&config);
+    let mut state = network.initial_state();
+    let image = frame_for(&config, 0);
+    for reset in [StreamState::reset, StreamState::reset_relative] {
+        reset(&mut state);
+        assert!(network.step_as(&image, &mut state, FrameRole::Passing).unwrap().is_key);
+        assert!(!network.step_as(&image, &mut state, FrameRole::Passing).unwrap().is_key);
+    }
 }
 
 #[test]

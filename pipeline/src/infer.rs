@@ -1,7 +1,7 @@
 //! Network input to head outputs, with the state that the network keeps between frames.
 
 use candle_core::Tensor;
-use grnet_model::{LoadedModel, ModelError, StepOutput, StreamState};
+use grnet_model::{FrameRole, LoadedModel, ModelError, StepOutput, StreamState};
 
 /// The network ran into an error; its state is as before the frame.
 #[derive(Debug, thiserror::Error)]
@@ -27,25 +27,32 @@ pub enum InferError {
 pub(crate) struct Infer {
     model: LoadedModel,
     state: StreamState,
+    /// From the last key frame to the last frame.
+    since_key_s: f64,
 }
 
 impl Infer {
     pub(crate) fn new(model: LoadedModel) -> Self {
         let state = model.network.initial_state();
-        Self { model, state }
+        Self { model, state, since_key_s: 0.0 }
     }
 
     pub(crate) fn model(&self) -> &LoadedModel {
         &self.model
     }
 
-    /// Runs the network on one input of shape (3, height, width).
-    pub(crate) fn run(&mut self, input: &[f32]) -> Result<StepOutput, InferError> {
+    /// Runs the network on one input of shape (3, height, width), `dt_s` after the last one (0 for the first).
+    pub(crate) fn run(&mut self, input: &[f32], dt_s: f64) -> Result<StepOutput, InferError> {
         let config = self.model.network.config();
         let (height_px, width_px) = (config.input_height_px, config.input_width_px);
         let image = Tensor::from_slice(input, (1, 3, height_px, width_px), self.model.network.device())
             .map_err(|source| InferError::Input { width_px, height_px, source })?;
-        Ok(self.model.network.step(&image, &mut self.state)?)
+        let since_key_s = self.since_key_s + dt_s;
+        let is_due = since_key_s * 1e3 >= f64::from(config.keyframe_interval_ms);
+        let role = if is_due { FrameRole::Key } else { FrameRole::Passing };
+        let output = self.model.network.step_as(&image, &mut self.state, role)?;
+        self.since_key_s = if output.is_key { 0.0 } else { since_key_s };
+        Ok(output)
     }
 
     /// Forgets everything: the next frame is paired with itself.
@@ -71,6 +78,8 @@ impl Infer {
             && relative(&model)
             && self.model.trunk_hash == model.trunk_hash
             && self.model.network.live_heads().relative == model.network.live_heads().relative
+            && self.model.network.config().keyframe_interval_ms
+                == model.network.config().keyframe_interval_ms
             && self.model.metadata.preprocessing == model.metadata.preprocessing;
         self.model = model;
         if goes_on {

@@ -133,14 +133,17 @@ impl Pipeline {
             self.infer.reset();
             self.fuse.restart(reason);
         }
-        let outputs = self.infer.run(input).map_err(|source| StepError::Infer { sequence, source })?;
-        self.time.accept(frame.capture_time);
-
-        observer.enter(Stage::Fuse);
         let dt_s = match arrival {
             Arrival::After { dt_s } => Some(dt_s),
             Arrival::First | Arrival::Jumped(_) => None,
         };
+        let outputs = self
+            .infer
+            .run(input, dt_s.unwrap_or(0.0))
+            .map_err(|source| StepError::Infer { sequence, source })?;
+        self.time.accept(frame.capture_time);
+
+        observer.enter(Stage::Fuse);
         let estimate = self.fuse.fuse(Stamp { sequence, capture_time: frame.capture_time, dt_s }, &outputs);
         if estimate.reason == Reason::NonFiniteOutput {
             self.infer.reset();

@@ -3,6 +3,7 @@
 
 mod heads;
 mod map;
+mod odometry;
 
 use grnet_frame::CaptureTime;
 use grnet_geometry::{Covariance6, Pose, se3};
@@ -13,6 +14,7 @@ use crate::estimate::{Estimate, PoseEstimate, Reason, Status};
 use crate::options::InnovationGate;
 use heads::{NotAPose, Uncertain};
 use map::{MapTracker, MapUpdate, Verdict};
+use odometry::Odometry;
 
 /// What of the model matters to the fusion.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,8 +42,8 @@ pub(crate) struct Fuse {
     traits: ModelTraits,
     base_from_camera: Pose,
     initializing_frames: u32,
-    /// `odom_from_base` of the last frame; `None` before the first one and after a restart.
-    odometry: Option<Uncertain>,
+    /// Of the last frame; `None` before the first one and after a restart.
+    odometry: Option<Odometry>,
     map: MapTracker,
     reset_epoch: u32,
     /// Frames since the start or the last restart.
@@ -126,17 +128,21 @@ impl Fuse {
         let (relative, global, fused) = (relative?, global?, fused?);
         let is_first = self.frames == 0;
         // The first frame was paired with itself: its output says nothing about motion.
-        let motion =
+        let key_from_current =
             relative.filter(|_| !is_first && stamp.dt_s.is_some()).map(|camera| self.in_base(&camera));
-        let odometry = match (self.odometry, motion) {
-            (Some(odom_from_previous), Some(motion)) => Some(odom_from_previous.then(&motion)),
-            (None, _) if is_first && relative.is_some() => Some(Uncertain::exact(Pose::identity())),
-            _ => None,
+        let (odometry, motion) = match (self.odometry, key_from_current) {
+            (Some(odometry), Some(key_from_current)) => {
+                let (odometry, motion) = odometry.next(&key_from_current, outputs.is_key);
+                (Some(odometry), Some(motion))
+            }
+            (None, _) if is_first && relative.is_some() => (Some(Odometry::start()), None),
+            _ => (None, None),
         };
+        let odom_from_base = odometry.map(|odometry| odometry.odom_from_base());
         let network = fused.or(global).map(|world_from_camera| self.in_map(&world_from_camera));
         let mut map = self.map.clone();
         let update = map.update(motion.as_ref(), network.as_ref());
-        for pose in [&odometry, &motion, &network, &update.map_from_base].into_iter().flatten() {
+        for pose in [&odom_from_base, &motion, &network, &update.map_from_base].into_iter().flatten() {
             if !pose.is_presentable() {
                 return Err(NotAPose);
             }
@@ -159,7 +165,7 @@ impl Fuse {
             reason,
             reset_epoch: self.reset_epoch,
             map_from_base: estimate(update.map_from_base),
-            odom_from_base: estimate(odometry),
+            odom_from_base: estimate(odom_from_base),
             previous_from_current: estimate(motion),
             network_map_from_base: estimate(network.filter(|_| status != Status::Lost)),
             linear_velocity_in_base_mps: velocity.map(|v| v.0),

@@ -67,7 +67,7 @@ impl Feed {
 
     fn poses(&mut self, relative: &Pose, fused: &Pose) -> Estimate {
         let relative = Some(head(relative, LOG_VARIANCE));
-        self.raw(&StepOutput { relative, global: None, fused: Some(head(fused, LOG_VARIANCE)) })
+        self.raw(&StepOutput { is_key: true, relative, global: None, fused: Some(head(fused, LOG_VARIANCE)) })
     }
 }
 
@@ -269,6 +269,7 @@ fn without_covariances_nothing_is_rejected_and_nothing_is_claimed() {
     for i in 0..4 {
         let fused = if i == 2 { far() } else { world_from_camera(i) };
         let outputs = StepOutput {
+            is_key: true,
             relative: Some(head(&relative(i), None)),
             global: None,
             fused: Some(head(&fused, None)),
@@ -284,6 +285,7 @@ fn without_covariances_nothing_is_rejected_and_nothing_is_claimed() {
 #[test]
 fn output_that_is_no_pose_is_lost_and_restarts() {
     let good = |i| StepOutput {
+        is_key: true,
         relative: Some(head(&relative(i), LOG_VARIANCE)),
         global: None,
         fused: Some(head(&world_from_camera(i), LOG_VARIANCE)),
@@ -337,7 +339,7 @@ fn without_a_scene_there_is_odometry_only_until_the_pose_is_set() {
     let mut feed = Feed::new(Fuse::new(traits, base_from_camera(), Some(InnovationGate::default()), 1));
     let next = |feed: &mut Feed, i| {
         let relative = Some(head(&relative(i), LOG_VARIANCE));
-        feed.raw(&StepOutput { relative, global: None, fused: None })
+        feed.raw(&StepOutput { is_key: true, relative, global: None, fused: None })
     };
     next(&mut feed, 0);
     let estimate = next(&mut feed, 1);
@@ -471,7 +473,7 @@ proptest! {
                 let variances = head.log_variance.iter().flatten();
                 head.translation_m.iter().chain(&head.rotation_raw).chain(variances).all(|v| v.is_finite())
             });
-            let estimate = feed.raw(&StepOutput { relative, global, fused });
+            let estimate = feed.raw(&StepOutput { is_key: true, relative, global, fused });
             check(&estimate)?;
             prop_assert!(is_finite || estimate.status == Status::Lost);
         }

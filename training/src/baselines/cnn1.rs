@@ -50,10 +50,9 @@ pub fn describe(model: &LoadedModel, path: &Path) -> Result<Vec<f32>, ImageError
     let input = preprocessor.run(&frame).map_err(|e| network(&e))?;
     let image = Tensor::from_slice(input, (1, 3, height_px, width_px), model.network.device())
         .map_err(|e| network(&e))?;
-    let output =
-        model.network.step_tensors(&image, &mut model.network.initial_state()).map_err(|e| network(&e))?;
+    let features = model.network.features(&image).map_err(|e| network(&e))?;
     // (1, C, h, w) -> (C)
-    let pooled = output.features.mean((2, 3)).and_then(|t| t.squeeze(0)).and_then(|t| t.to_vec1::<f32>());
+    let pooled = features.mean((2, 3)).and_then(|t| t.squeeze(0)).and_then(|t| t.to_vec1::<f32>());
     let mut values = pooled.map_err(|e| network(&e))?;
     normalise(&mut values);
     Ok(values)
