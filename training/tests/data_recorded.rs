@@ -109,6 +109,29 @@ fn windows_stay_in_their_run_keep_their_stride_and_run_both_ways() {
 }
 
 #[test]
+fn uneven_windows_stay_in_their_run_too() {
+    let folder = numbered();
+    let left_out = [20, 33, 38];
+    let window =
+        WindowOptions { k: 4, strides: vec![1, 5], uneven: true, seed: 3, ..WindowOptions::default() };
+    let windows = windows(folder.path(), &left_out, window);
+    let mut seen = BTreeSet::new();
+    for index in 0..2000 {
+        let mut frames = numbers(&windows, index);
+        if frames[0] > frames[3] {
+            frames.reverse();
+        }
+        let steps: Vec<i64> = frames.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        // As in even windows no step is longer than what fits everywhere in the run.
+        let longest = if (21..33).contains(&frames[0]) { 3 } else { 5 };
+        assert!(steps.iter().all(|step| *step == 1 || *step == longest), "{frames:?}");
+        assert!(left_out.iter().all(|gap| !(frames[0]..=frames[3]).contains(&i64::from(*gap))), "{frames:?}");
+        seen.insert(steps);
+    }
+    assert!(seen.contains(&vec![1, 5, 1]) && seen.contains(&vec![5, 5, 1]), "{seen:?}");
+}
+
+#[test]
 fn single_frames_and_fixed_order() {
     let folder = numbered();
     let options = WindowOptions { k: 1, ..WindowOptions::default() };

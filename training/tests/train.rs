@@ -5,11 +5,11 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use grnet_capture::{FolderSource, Pace, dataset};
-use grnet_frame::{FrameSource as _, Received};
+use grnet_frame::{Frame, FrameSource as _, Received};
 use grnet_geometry::{Pose, quaternion, se3};
 use grnet_model::candle_core::{Device, Tensor};
-use grnet_model::{Checkpoint, Kind, LoadedModel};
-use grnet_pipeline::{NoObserver, Pipeline, PipelineOptions};
+use grnet_model::{Checkpoint, HeadTensors, Kind, LoadedModel};
+use grnet_pipeline::{Estimate, NoObserver, Pipeline, PipelineOptions};
 
 /// Every stage of the paper on a room of its own, two threads, saved after each step.
 const RECIPE: &str = r#"
@@ -205,9 +205,6 @@ fn trained_weights_stream_as_they_were_evaluated() {
         ["synth", "--sequences", "1", "--frames", "9", "--size", "64x48", "--texel-mm", "40", "--out"];
     assert_ok(&program().args(synth).arg(&recording).output().unwrap());
     let recording = dataset::open_one(&recording, &dataset::OpenOptions::default()).unwrap();
-    let options =
-        PipelineOptions { base_from_camera: Pose::identity(), gate: None, ..PipelineOptions::default() };
-    let mut pipeline = Pipeline::new(model.clone(), options).unwrap();
     let mut source = FolderSource::new(recording, Pace::Max, false).unwrap();
     let mut preprocessor = grnet_pipeline::preprocess::Preprocessor::new(
         grnet_pipeline::preprocess::InputSpec {
@@ -219,25 +216,68 @@ fn trained_weights_stream_as_they_were_evaluated() {
         None,
     )
     .unwrap();
-    let (mut streamed, mut images) = (Vec::new(), Vec::new());
+    let (mut frames, mut images) = (Vec::new(), Vec::new());
     while let Received::Frame(frame) = source.next_frame(Duration::from_secs(5)).unwrap() {
         images.extend_from_slice(preprocessor.run(&frame).unwrap());
-        streamed.push(pipeline.step(&frame, &mut NoObserver).unwrap().network_map_from_base.pose.unwrap());
+        frames.push(frame);
     }
-    let images = Tensor::from_vec(images, (1, streamed.len(), 3, 48, 64), &Device::Cpu).unwrap();
-    let fused = model.network.window(&images).unwrap().fused.unwrap();
-    let translations = fused.translation.to_vec3::<f32>().unwrap();
-    let rotations = fused.rotation.to_vec3::<f32>().unwrap();
-    assert_eq!(streamed.len(), 9);
-    for (frame, pose) in streamed.iter().enumerate() {
-        let raw: [f64; 6] = std::array::from_fn(|i| f64::from(rotations[0][frame][i]));
-        let rotation = quaternion::from_6d(raw).unwrap();
-        for (streamed, evaluated) in pose.translation.vector.iter().zip(&translations[0][frame]) {
-            let difference = streamed - f64::from(*evaluated);
-            assert!(difference.abs() < 1e-4, "frame {frame}: {difference} m");
+    assert_eq!(frames.len(), 9);
+    let images = Tensor::from_vec(images, (frames.len(), 3, 48, 64), &Device::Cpu).unwrap();
+    let window = |frames: &[u32]| {
+        let index = Tensor::new(frames, &Device::Cpu).unwrap();
+        model.network.window(&images.index_select(&index, 0).unwrap().unsqueeze(0).unwrap()).unwrap()
+    };
+
+    // With every frame a key frame, all poses are those of the window.
+    let neighbours = Checkpoint::load(&out.join("model.safetensors"))
+        .and_then(|checkpoint| checkpoint.with_metadata(|m| m.network.keyframe_interval_ms = 0))
+        .and_then(|checkpoint| LoadedModel::from_checkpoint(checkpoint, &Device::Cpu))
+        .unwrap();
+    let whole = window(&[0, 1, 2, 3, 4, 5, 6, 7, 8]);
+    for (i, estimate) in streamed(neighbours, &frames).iter().enumerate() {
+        let fused = pose_of(whole.fused.as_ref().unwrap(), i);
+        assert_near(i, &estimate.network_map_from_base.pose.unwrap(), &fused);
+        if i > 0 {
+            let motion = pose_of(whole.relative.as_ref().unwrap(), i);
+            assert_near(i, &estimate.previous_from_current.pose.unwrap(), &motion);
         }
-        assert!(se3::angle_rad(&(rotation.inverse() * pose.rotation)) < 1e-4, "frame {frame}");
     }
+
+    // As trained: at 30 frames a second 110 ms make every fourth frame a key frame.
+    let mut odom_from_key = Pose::identity();
+    for (i, estimate) in streamed(model.clone(), &frames).iter().enumerate().skip(1) {
+        let keys: &[u32] = if i <= 4 { &[0] } else { &[0, 4] };
+        let relative = window(&[keys, &[i as u32]].concat()).relative.unwrap();
+        let odom_from_base = odom_from_key * pose_of(&relative, keys.len());
+        assert_near(i, &estimate.odom_from_base.pose.unwrap(), &odom_from_base);
+        if i == 4 {
+            odom_from_key = odom_from_base;
+        }
+    }
+}
+
+fn streamed(model: LoadedModel, frames: &[Frame]) -> Vec<Estimate> {
+    let options =
+        PipelineOptions { base_from_camera: Pose::identity(), gate: None, ..PipelineOptions::default() };
+    let mut pipeline = Pipeline::new(model, options).unwrap();
+    frames.iter().map(|frame| pipeline.step(frame, &mut NoObserver).unwrap()).collect()
+}
+
+/// Of one frame of the only window.
+fn pose_of(head: &HeadTensors, frame: usize) -> Pose {
+    let row = |tensor: &Tensor| -> Vec<f64> {
+        let row = tensor.get(0).unwrap().get(frame).unwrap().to_vec1::<f32>().unwrap();
+        row.into_iter().map(f64::from).collect()
+    };
+    let translation: [f64; 3] = row(&head.translation).try_into().unwrap();
+    let rotation = quaternion::from_6d(row(&head.rotation).try_into().unwrap()).unwrap();
+    Pose::from_parts(translation.into(), rotation)
+}
+
+fn assert_near(frame: usize, found: &Pose, expected: &Pose) {
+    let metres = (found.translation.vector - expected.translation.vector).amax();
+    let radians = se3::angle_rad(&(found.rotation.inverse() * expected.rotation));
+    assert!(metres < 1e-4 && radians < 1e-4, "frame {frame}: {metres} m, {radians} rad");
 }
 
 #[test]

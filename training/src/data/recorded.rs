@@ -194,11 +194,12 @@ impl RecordedWindows {
         // Every frame belongs to the block that is drawn equally often.
         let ticket = rng.random_range(0..total);
         let (block, _) = &self.blocks[self.blocks.partition_point(|(_, up_to)| *up_to <= ticket)];
-        let drawn = self.options.window.draw_stride(&mut rng) as usize;
-        let gaps = k - 1;
-        let stride = (block.len() - 1).checked_div(gaps).map_or(drawn, |most| drawn.min(most));
-        let start = block.start + rng.random_range(0..block.len() - gaps * stride);
-        let mut chosen: Vec<usize> = (0..k).map(|i| start + i * stride).collect();
+        let longest =
+            (block.len() - 1).checked_div(k - 1).map(|frames| u32::try_from(frames).unwrap_or(u32::MAX));
+        let offsets = self.options.window.draw_offsets(longest, &mut rng);
+        let length = offsets.last().map_or(0, |last| *last as usize);
+        let start = block.start + rng.random_range(0..block.len() - length);
+        let mut chosen: Vec<usize> = offsets.iter().map(|offset| start + *offset as usize).collect();
         if rng.random::<f64>() < reverse_share {
             chosen.reverse();
         }

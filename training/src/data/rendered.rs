@@ -163,7 +163,7 @@ impl RenderedWindows {
         let WindowOptions { k, reverse_share, seed, .. } = self.options.window;
         let mut rng = generator(seed, Purpose::Choice, index);
         let room = rng.random_range(0..self.rooms.len());
-        let stride = self.options.window.draw_stride(&mut rng);
+        let offsets = self.options.window.draw_offsets(None, &mut rng);
         let between =
             |(low, high): (f64, f64), rng: &mut ChaCha8Rng| (low + (high - low) * rng.random::<f64>()) as f32;
         // Averaged over the pixels of a full-sized image that one pixel here stands for.
@@ -178,7 +178,7 @@ impl RenderedWindows {
             (self.jump(room, &mut rng), rng.random(), "jump")
         } else {
             let (frames, seed) =
-                self.walk(room, stride, &mut rng).map_err(|source| self.cannot_render(index, source))?;
+                self.walk(room, &offsets, &mut rng).map_err(|source| self.cannot_render(index, source))?;
             (frames, seed, "path")
         };
         if rng.random::<f64>() < reverse_share {
@@ -187,14 +187,18 @@ impl RenderedWindows {
         Ok(Shots { room, frames, seed: noise_seed, sensor, kind })
     }
 
-    /// K frames along a path of their own, and its seed.
-    fn walk(&self, room: usize, stride: u32, rng: &mut ChaCha8Rng) -> Result<(Vec<Shot>, u64), SynthError> {
+    /// The frames at these places of a path of their own, and its seed.
+    fn walk(
+        &self,
+        room: usize,
+        offsets: &[u32],
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Vec<Shot>, u64), SynthError> {
         const ATTEMPTS: u32 = 8;
         let (scene, volume) = &self.rooms[room];
-        let k = self.options.window.k as u32;
         let seed = rng.random();
         let path = |attempt: u32| {
-            let (frames, rate_hz) = ((k - 1) * stride + 1, self.options.rate_hz);
+            let (frames, rate_hz) = (offsets.last().map_or(1, |last| last + 1), self.options.rate_hz);
             let options = PathOptions { seed, sequence: FIRST_SEQUENCE + attempt, frames, rate_hz };
             Trajectory::generate(scene, volume, options)
         };
@@ -207,11 +211,11 @@ impl RenderedWindows {
             found = path(attempt);
         }
         let path = found?;
-        let frame = |number: u32| {
-            let time_s = path.time_s(number * stride);
+        let frame = |(number, offset): (u32, &u32)| {
+            let time_s = path.time_s(*offset);
             Shot { world_from_camera: path.world_from_camera(time_s), gain: path.gain(time_s), number }
         };
-        Ok(((0..k).map(frame).collect(), seed))
+        Ok(((0..).zip(offsets).map(frame).collect(), seed))
     }
 
     /// K frames each of which lies at random within some reach of the one before.

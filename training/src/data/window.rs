@@ -62,6 +62,9 @@ pub struct WindowOptions {
     pub strides: Vec<u32>,
     /// How often each stride is drawn, relative to the others; empty: equally often.
     pub stride_weights: Vec<f64>,
+    /// Draw a stride for each step of a window instead of one for all of them: RCNN1 meets the uneven pairs that key frames
+    /// (and dropped frames) bring at run time.
+    pub uneven: bool,
     /// Share of windows that are played backwards, poses included.
     pub reverse_share: f64,
     /// Seed of every draw.
@@ -71,7 +74,14 @@ pub struct WindowOptions {
 impl Default for WindowOptions {
     /// Windows of 5 frames as in the paper, at strides 1, 2, 3, 5 and 8, half of them backwards.
     fn default() -> Self {
-        Self { k: 5, strides: vec![1, 2, 3, 5, 8], stride_weights: Vec::new(), reverse_share: 0.5, seed: 0 }
+        Self {
+            k: 5,
+            strides: vec![1, 2, 3, 5, 8],
+            stride_weights: Vec::new(),
+            uneven: false,
+            reverse_share: 0.5,
+            seed: 0,
+        }
     }
 }
 
@@ -90,8 +100,20 @@ impl WindowOptions {
         check_share("reverse_share", self.reverse_share)
     }
 
-    /// The stride that `rng` draws.
-    pub(crate) fn draw_stride(&self, rng: &mut ChaCha8Rng) -> u32 {
+    /// Where the frames of a window lie, counted from its first one, as `rng` draws; no step is longer than `longest`.
+    pub(crate) fn draw_offsets(&self, longest: Option<u32>, rng: &mut ChaCha8Rng) -> Vec<u32> {
+        let fitting = |stride: u32| longest.map_or(stride, |longest| stride.min(longest));
+        let first = fitting(self.draw_stride(rng));
+        let mut offset = 0;
+        let mut offsets = vec![offset];
+        for step in 1..self.k {
+            offset += if self.uneven && step > 1 { fitting(self.draw_stride(rng)) } else { first };
+            offsets.push(offset);
+        }
+        offsets
+    }
+
+    fn draw_stride(&self, rng: &mut ChaCha8Rng) -> u32 {
         if self.stride_weights.is_empty() {
             return self.strides[rng.random_range(0..self.strides.len())];
         }
@@ -201,6 +223,30 @@ pub(crate) mod tests {
         let weighed = counts(&options);
         assert_eq!(weighed[2], 0);
         assert!((7_200..7_800).contains(&weighed[1]), "{weighed:?}");
+    }
+
+    #[test]
+    fn uneven_windows_draw_every_step_and_even_ones_only_the_first() {
+        let even = WindowOptions { k: 6, strides: vec![1, 2, 5], ..WindowOptions::default() };
+        let uneven = WindowOptions { uneven: true, ..even.clone() };
+        let mut seen = std::collections::BTreeSet::new();
+        for index in 0..200 {
+            let steps = |options: &WindowOptions, longest| {
+                let offsets = options.draw_offsets(longest, &mut generator(7, Purpose::Choice, index));
+                assert_eq!((offsets.len(), offsets[0]), (6, 0));
+                offsets.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>()
+            };
+            let one = steps(&even, None);
+            assert!(one.iter().all(|step| *step == one[0]), "{one:?}");
+            let many = steps(&uneven, None);
+            assert_eq!(many[0], one[0], "the first step is the same draw");
+            assert!(many.iter().all(|step| [1, 2, 5].contains(step)));
+            seen.insert(many);
+            assert!(steps(&uneven, Some(2)).iter().all(|step| [1, 2].contains(step)));
+        }
+        assert!(seen.len() > 100, "{} of 200 windows differ", seen.len());
+        let single = WindowOptions { k: 1, ..uneven };
+        assert_eq!(single.draw_offsets(Some(3), &mut generator(7, Purpose::Choice, 0)), [0]);
     }
 
     #[test]
