@@ -1,16 +1,16 @@
 //! `Pipeline::step` with a real network: untrained weights, made-up frames.
 
+mod common;
+
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use common::{PERIOD_NS, SIZE, assert_close, at_ns, config, frame, pipeline, step};
 use grnet_frame::{Camera, CaptureTime, Distortion, Frame, PixelFormat, Pixels};
 use grnet_geometry::{Covariance6, Pose, quaternion};
 use grnet_model::candle_core::{Device, Tensor};
 use grnet_model::preprocessing::Preprocessing;
-use grnet_model::{
-    CameraIntrinsics, Checkpoint, HeadTensors, LoadedModel, NetworkConfig, RigidTransform, WindowOutput,
-    untrained,
-};
+use grnet_model::{CameraIntrinsics, Checkpoint, LoadedModel, NetworkConfig, RigidTransform, untrained};
 use grnet_pipeline::preprocess::{InputSpec, Preprocessor};
 use grnet_pipeline::{
     Estimate, Intrinsics, IntrinsicsError, IntrinsicsOptions, IntrinsicsPolicy, NoObserver, Pipeline,
@@ -19,162 +19,9 @@ use grnet_pipeline::{
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-const SIZE: (u32, u32) = (80, 60);
-const PERIOD_NS: u64 = 40_000_000;
-
-/// The layers of `grnet-small` on a smaller input, so that the tests stay quick.
-fn config() -> NetworkConfig {
-    NetworkConfig { input_height_px: 48, input_width_px: 64, width: 0.125, ..NetworkConfig::grnet_small() }
-}
-
-fn model() -> LoadedModel {
-    LoadedModel::untrained(&config(), 11).unwrap()
-}
-
-fn pipeline() -> Pipeline {
-    Pipeline::new(model(), PipelineOptions::default()).unwrap()
-}
-
-/// A frame of a scene that slides by; `sequence` also gives its time.
-fn frame(sequence: u64) -> Frame {
-    let byte = |x: u32, y: u32, c: u32| {
-        let phase = f64::from(x) * 0.13 + f64::from(y * (c + 1)) * 0.05 + sequence as f64 * 0.3;
-        (127.5 + 127.0 * phase.sin()) as u8
-    };
-    let rgb =
-        (0..SIZE.1).flat_map(|y| (0..SIZE.0).flat_map(move |x| (0..3).map(move |c| byte(x, y, c)))).collect();
-    Frame {
-        pixels: Arc::new(Pixels::packed(PixelFormat::Rgb8, SIZE.0, SIZE.1, rgb).unwrap()),
-        capture_time: CaptureTime::monotonic(1_000_000_000 + sequence * PERIOD_NS),
-        sequence,
-        camera: None,
-    }
-}
-
-fn at_ns(sequence: u64, ns: u64) -> Frame {
-    Frame { capture_time: CaptureTime::monotonic(ns), ..frame(sequence) }
-}
-
-fn step(pipeline: &mut Pipeline, sequence: u64) -> Estimate {
-    pipeline.step(&frame(sequence), &mut NoObserver).unwrap()
-}
-
 /// Everything in an estimate, NaN included, as text that tells every bit of a double apart.
 fn bits(estimate: &Estimate) -> String {
     format!("{estimate:?}")
-}
-
-fn head_pose(head: &HeadTensors, i: usize) -> Pose {
-    let row = |tensor: &Tensor| -> Vec<f64> {
-        let values = tensor.get(0).unwrap().get(i).unwrap().to_vec1::<f32>().unwrap();
-        values.into_iter().map(f64::from).collect()
-    };
-    let (t, r) = (row(&head.translation), row(&head.rotation));
-    let rotation = quaternion::from_6d(r.try_into().unwrap()).unwrap();
-    Isometry3::from_parts(Translation3::new(t[0], t[1], t[2]), rotation)
-}
-
-fn assert_close(found: Option<Pose>, expected: &Pose) {
-    let found = found.expect("a pose");
-    let metres = (found.translation.vector - expected.translation.vector).norm();
-    let radians = found.rotation.angle_to(&expected.rotation);
-    assert!(metres < 1e-4 && radians < 1e-4, "{metres} m, {radians} rad");
-}
-
-/// What the network says of these frames as one window.
-fn window_of(model: &LoadedModel, sequences: &[u64]) -> WindowOutput {
-    let config = model.network.config();
-    let size_px = (config.input_width_px as u32, config.input_height_px as u32);
-    let spec =
-        InputSpec { size_px, preprocessing: model.metadata.preprocessing.clone(), trained_camera: None };
-    let mut preprocessor = Preprocessor::new(spec, IntrinsicsOptions::default(), None).unwrap();
-    let mut images = Vec::new();
-    for sequence in sequences {
-        images.extend_from_slice(preprocessor.run(&frame(*sequence)).unwrap());
-    }
-    let shape = (1, sequences.len(), 3, config.input_height_px, config.input_width_px);
-    model.network.window(&Tensor::from_vec(images, shape, &Device::Cpu).unwrap()).unwrap()
-}
-
-#[test]
-fn streamed_poses_equal_those_of_the_window() {
-    const FRAMES: usize = 8;
-    for config in [NetworkConfig::grnet_small(), config()] {
-        let config = NetworkConfig { keyframe_interval_ms: 0, ..config };
-        let model = LoadedModel::untrained(&config, 5).unwrap();
-        let window = window_of(&model, &(0..FRAMES as u64).collect::<Vec<_>>());
-        let (relative, fused) = (window.relative.unwrap(), window.fused.unwrap());
-
-        let options = PipelineOptions::default();
-        let base_from_camera = options.base_from_camera;
-        let mut pipeline = Pipeline::new(model, options).unwrap();
-        let mut odom_from_base = Pose::identity();
-        for i in 0..FRAMES {
-            let estimate = step(&mut pipeline, i as u64);
-            if i > 0 {
-                let motion = base_from_camera * head_pose(&relative, i) * base_from_camera.inverse();
-                odom_from_base *= motion;
-                assert_close(estimate.previous_from_current.pose, &motion);
-            }
-            assert_close(estimate.odom_from_base.pose, &odom_from_base);
-            let map_from_base = head_pose(&fused, i) * base_from_camera.inverse();
-            assert_close(estimate.map_from_base.pose, &map_from_base);
-        }
-        assert!(odom_from_base.translation.vector.norm() > 1e-3, "something moved");
-    }
-}
-
-#[test]
-fn motion_is_measured_from_the_last_key_frame_and_key_frames_come_by_time() {
-    let model = model();
-    assert_eq!(model.network.config().keyframe_interval_ms, 110);
-    // A frame every 40, 80 and 120 ms; some frames of a regular stream missing.
-    let regular = |step: u64| (0..13).map(|i| i * step).collect::<Vec<_>>();
-    let cases = [
-        (regular(1), vec![0, 3, 6, 9, 12]),
-        (regular(2), vec![0, 4, 8, 12, 16, 20, 24]),
-        (regular(3), regular(3)),
-        (vec![0, 1, 2, 6, 7, 8, 9, 10, 15], vec![0, 6, 9, 15]),
-    ];
-    for (sequences, keys) in cases {
-        let mut pipeline = pipeline();
-        let base_from_camera = PipelineOptions::default().base_from_camera;
-        let mut odom_from_key = Pose::identity();
-        let mut last = Pose::identity();
-        for sequence in sequences {
-            let estimate = step(&mut pipeline, sequence);
-            let earlier: Vec<u64> = keys.iter().copied().filter(|key| *key < sequence).collect();
-            let mut odom_from_base = Pose::identity();
-            if !earlier.is_empty() {
-                let relative = window_of(&model, &[&earlier[..], &[sequence]].concat()).relative.unwrap();
-                let key_from_current = head_pose(&relative, earlier.len());
-                odom_from_base =
-                    odom_from_key * base_from_camera * key_from_current * base_from_camera.inverse();
-                assert_close(estimate.previous_from_current.pose, &(last.inverse() * odom_from_base));
-            }
-            assert_close(estimate.odom_from_base.pose, &odom_from_base);
-            last = odom_from_base;
-            if keys.contains(&sequence) {
-                odom_from_key = odom_from_base;
-            }
-        }
-    }
-}
-
-#[test]
-fn a_reset_of_the_odometry_makes_the_next_frame_a_key_frame() {
-    let mut pipeline = pipeline();
-    (0..5).for_each(|i| drop(step(&mut pipeline, i)));
-    pipeline.reset_odometry();
-    let model = model();
-    let base_from_camera = PipelineOptions::default().base_from_camera;
-    // Frame 3 was a key frame, 6 would have been the next one; now it is 5 and then 8.
-    assert_close(step(&mut pipeline, 5).odom_from_base.pose, &Pose::identity());
-    for sequence in 6..9 {
-        let relative = window_of(&model, &[5, sequence]).relative.unwrap();
-        let odom_from_base = base_from_camera * head_pose(&relative, 1) * base_from_camera.inverse();
-        assert_close(step(&mut pipeline, sequence).odom_from_base.pose, &odom_from_base);
-    }
 }
 
 #[test]
