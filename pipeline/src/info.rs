@@ -124,6 +124,7 @@ pub(crate) fn model_traits(
         is_trained: model.trained,
         has_odometry: heads.relative.pose,
         has_scene: heads.global.pose || heads.fused.pose,
+        keyframe_interval_s: f64::from(model.network.config().keyframe_interval_ms) * 1e-3,
         map_from_world: map_from_world(model, options)?,
     };
     if traits.has_odometry || traits.has_scene { Ok(traits) } else { Err(PipelineError::NoLiveHead) }

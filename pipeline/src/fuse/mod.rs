@@ -24,6 +24,8 @@ pub(crate) struct ModelTraits {
     pub(crate) has_odometry: bool,
     /// There is a live global or fused head.
     pub(crate) has_scene: bool,
+    /// Velocities are means over this long at least.
+    pub(crate) keyframe_interval_s: f64,
     pub(crate) map_from_world: Pose,
 }
 
@@ -130,14 +132,16 @@ impl Fuse {
         // The first frame was paired with itself: its output says nothing about motion.
         let key_from_current =
             relative.filter(|_| !is_first && stamp.dt_s.is_some()).map(|camera| self.in_base(&camera));
-        let (odometry, motion) = match (self.odometry, key_from_current) {
-            (Some(odometry), Some(key_from_current)) => {
-                let (odometry, motion) = odometry.next(&key_from_current, outputs.is_key);
-                (Some(odometry), Some(motion))
+        let moved = match (self.odometry, key_from_current, stamp.dt_s) {
+            (Some(odometry), Some(key_from_current), Some(dt_s)) => {
+                let shortest_s = self.traits.keyframe_interval_s;
+                Some(odometry.next(&key_from_current, outputs.is_key, dt_s, shortest_s))
             }
-            (None, _) if is_first && relative.is_some() => (Some(Odometry::start()), None),
-            _ => (None, None),
+            _ => None,
         };
+        let motion = moved.map(|moved| moved.last_from_current);
+        let started = (is_first && relative.is_some()).then(Odometry::start);
+        let odometry = moved.map(|moved| moved.odometry).or(started);
         let odom_from_base = odometry.map(|odometry| odometry.odom_from_base());
         let network = fused.or(global).map(|world_from_camera| self.in_map(&world_from_camera));
         let mut map = self.map.clone();
@@ -147,10 +151,7 @@ impl Fuse {
                 return Err(NotAPose);
             }
         }
-        let velocity = match (&motion, stamp.dt_s) {
-            (Some(motion), Some(dt_s)) => Some(body_velocity(&motion.pose, dt_s)?),
-            _ => None,
-        };
+        let velocity = moved.map(|moved| body_velocity(&moved.recently, moved.span_s)).transpose()?;
         let (status, reason) = self.status(&update, odometry.is_some());
 
         (self.map, self.odometry) = (map, odometry);
@@ -227,8 +228,8 @@ fn read(head: &Option<HeadOutput>) -> Result<Option<Uncertain>, NotAPose> {
 }
 
 /// The constant body twist that makes this motion in `dt_s`: linear (m/s) and angular (rad/s), in body axes.
-fn body_velocity(previous_from_current: &Pose, dt_s: f64) -> Result<(Vector3<f64>, Vector3<f64>), NotAPose> {
-    let tangent = se3::log(previous_from_current);
+fn body_velocity(earlier_from_current: &Pose, dt_s: f64) -> Result<(Vector3<f64>, Vector3<f64>), NotAPose> {
+    let tangent = se3::log(earlier_from_current);
     let (linear, angular) = (tangent.translation() / dt_s, tangent.rotation() / dt_s);
     let known = linear.iter().chain(angular.iter()).all(|v| v.is_finite());
     if known { Ok((linear, angular)) } else { Err(NotAPose) }

@@ -28,6 +28,7 @@ fn traits() -> ModelTraits {
         is_trained: true,
         has_odometry: true,
         has_scene: true,
+        keyframe_interval_s: 0.0,
         map_from_world: pose([3.0, -1.0, 0.5], [0.0, 0.0, 0.7]),
     }
 }
