@@ -103,7 +103,9 @@ fn motion_is_measured_from_the_last_key_frame_and_key_frames_come_by_time() {
 #[test]
 fn a_reset_of_the_odometry_makes_the_next_frame_a_key_frame() {
     let mut pipeline = pipeline();
-    (0..5).for_each(|i| drop(step(&mut pipeline, i)));
+    for i in 0..5 {
+        step(&mut pipeline, i);
+    }
     pipeline.reset_odometry();
     let model = model();
     let base_from_camera = PipelineOptions::default().base_from_camera;
