@@ -263,17 +263,20 @@ fn another_scene_on_the_same_trunk_leaves_the_odometry_going() {
 }
 
 #[test]
-fn another_trunk_starts_the_odometry_anew() {
-    let mut pipeline = pipeline();
-    for i in 0..3 {
-        step(&mut pipeline, i);
+fn another_trunk_or_other_key_frames_start_the_odometry_anew() {
+    let trunk = LoadedModel::untrained(&NetworkConfig::grnet_small(), 12).unwrap();
+    let neighbours = with(|metadata| metadata.network.keyframe_interval_ms = 0);
+    for other in [trunk, neighbours] {
+        let mut pipeline = pipeline();
+        for i in 0..3 {
+            step(&mut pipeline, i);
+        }
+        let mut fresh = Pipeline::new(other.clone(), PipelineOptions::default()).unwrap();
+        pipeline.swap_model(other).unwrap();
+        let estimate = step(&mut pipeline, 3);
+        assert_eq!(estimate.reset_epoch, 1);
+        assert_eq!(bits(&Estimate { reset_epoch: 0, ..estimate }), bits(&step(&mut fresh, 3)));
     }
-    let other = LoadedModel::untrained(&NetworkConfig::grnet_small(), 12).unwrap();
-    let mut fresh = Pipeline::new(other.clone(), PipelineOptions::default()).unwrap();
-    pipeline.swap_model(other).unwrap();
-    let estimate = step(&mut pipeline, 3);
-    assert_eq!(estimate.reset_epoch, 1);
-    assert_eq!(bits(&Estimate { reset_epoch: 0, ..estimate }), bits(&step(&mut fresh, 3)));
 }
 
 fn any_pixels() -> impl Strategy<Value = Pixels> {
