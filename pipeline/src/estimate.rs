@@ -115,8 +115,8 @@ pub struct Estimate {
     pub previous_from_current: PoseEstimate,
     /// The fused network pose of this frame (the global one for a model without fusion), before any gate.
     pub network_map_from_base: PoseEstimate,
-    /// Mean linear velocity in body axes since the last key frame that is at least a keyframe interval old; where every
-    /// frame is a key frame, since the last frame.
+    /// Mean linear velocity in body axes since the last key frame that is at least a keyframe interval old (just after a
+    /// start, since the first frame); where every frame is a key frame, since the last frame.
     pub linear_velocity_in_base_mps: Option<Vector3<f64>>,
     /// Mean angular velocity in body axes over the same time.
     pub angular_velocity_in_base_radps: Option<Vector3<f64>>,
