@@ -237,6 +237,12 @@ fn tracking(raw: RawTracking) -> Checked<TrackingConfig> {
         refused_before_restart: (refused > 0).then_some(refused),
         initializing_frames: within("tracking.initializing_frames", raw.initializing_frames, 1, 1000)?,
         gate: raw.gate.then_some(gate),
+        map_smoothing: Duration::from_millis(within(
+            "tracking.map_smoothing_ms",
+            raw.map_smoothing_ms,
+            0,
+            60_000,
+        )?),
     })
 }
 

@@ -78,6 +78,7 @@ pub const KEYS: &[Key] = &[
     key("tracking.rejections_allowed", "an integer from 0 to 100000 (frames)"),
     key("tracking.after_rejections", "\"reinitialise\" or \"lost\""),
     key("tracking.agreements_to_recover", "an integer from 1 to 1000 (frames)"),
+    key("tracking.map_smoothing_ms", "an integer from 0 to 60000 (milliseconds), 0 for no smoothing"),
     key("publish.access", "\"user\", \"group\" or \"everyone\""),
     optional("publish.group", "the name or number of a group, together with publish.access = \"group\""),
     optional(

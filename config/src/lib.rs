@@ -197,6 +197,8 @@ pub struct TrackingConfig {
     pub initializing_frames: u32,
     /// When a global pose is not believed; `None`: every one is.
     pub gate: Option<GateConfig>,
+    /// Time constant of the mean that the map pose is of accepted global poses; zero: each is published as it is.
+    pub map_smoothing: Duration,
 }
 
 /// The keys of `[tracking]` that hold while `gate` is on.

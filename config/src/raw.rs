@@ -274,6 +274,7 @@ pub(crate) struct RawTracking {
     pub rejections_allowed: u32,
     pub after_rejections: RawAfterRejections,
     pub agreements_to_recover: u32,
+    pub map_smoothing_ms: u64,
 }
 
 #[derive(Debug, Deserialize)]
@@ -293,6 +294,7 @@ impl Default for RawTracking {
             rejections_allowed: 10,
             after_rejections: RawAfterRejections::Reinitialise,
             agreements_to_recover: 3,
+            map_smoothing_ms: 0,
         }
     }
 }

@@ -101,6 +101,7 @@ impl Control {
             self.change(Change::Tracking {
                 time: options.time,
                 gate: options.gate,
+                map_smoothing_s: options.map_smoothing_s,
                 initializing_frames: options.initializing_frames,
             })?;
         }

@@ -129,6 +129,7 @@ pub fn pipeline_options(config: &GrnetdConfig) -> PipelineOptions {
             },
             agreements_to_recover: gate.agreements_to_recover,
         }),
+        map_smoothing_s: tracking.map_smoothing.as_secs_f64(),
         initializing_frames: tracking.initializing_frames,
     }
 }

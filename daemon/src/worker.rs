@@ -61,12 +61,14 @@ pub enum Change {
     ResetOdometry,
     /// The base is there, known so well; NaN when not known.
     SetPose(Pose, Box<Covariance6>),
-    /// Other rules for times and for the innovation gate.
+    /// Other rules for times, for the innovation gate and for the map pose.
     Tracking {
         /// When relative motion is believed.
         time: TimeOptions,
         /// When a global pose is believed.
         gate: Option<InnovationGate>,
+        /// Time constant of the map pose's mean in seconds, 0 for none.
+        map_smoothing_s: f64,
         /// Samples of a start.
         initializing_frames: u32,
     },
@@ -244,8 +246,10 @@ impl Run {
                 pipeline.set_pose(map_from_base, *covariance).map_err(|error| error.to_string())?;
                 "map_from_base was set".to_owned()
             }
-            Change::Tracking { time, gate, initializing_frames } => {
-                pipeline.set_tracking(time, gate, initializing_frames).map_err(|error| error.to_string())?;
+            Change::Tracking { time, gate, map_smoothing_s, initializing_frames } => {
+                pipeline
+                    .set_tracking(time, gate, map_smoothing_s, initializing_frames)
+                    .map_err(|error| error.to_string())?;
                 "other tracking rules".to_owned()
             }
             Change::Swap(prepared) => {

@@ -40,11 +40,17 @@ fn what_can_be_is_applied_and_the_rest_is_named_once() {
         .config_text()
         .replace("level = \"info\"", "level = \"debug\"")
         .replace("[publish]\n", "[publish]\nstatus_rate_hz = 40\ncreation_timeout_ms = 30\n")
-        + "silence_ms = 700\n[tracking]\nlongest_gap_ms = 77\n[record]\nformat = \"jpeg\"\n";
+        + "silence_ms = 700\n[tracking]\nlongest_gap_ms = 77\nmap_smoothing_ms = 300\n[record]\nformat = \"jpeg\"\n";
     rig.write("grnetd.toml", &changed);
     daemon.signal(Signal::HUP);
     let line = daemon.wait_for_line("the configuration was reloaded");
-    for key in ["log.level", "tracking.longest_gap_ms", "publish.status_rate_hz", "record.format"] {
+    for key in [
+        "log.level",
+        "tracking.longest_gap_ms",
+        "tracking.map_smoothing_ms",
+        "publish.status_rate_hz",
+        "record.format",
+    ] {
         assert!(line.contains(key), "{key}: {line}");
     }
     let line = daemon.wait_for_line("need a restart");

@@ -55,12 +55,12 @@ impl PipelineInfo {
             base_from_camera: options.base_from_camera,
             // Checked when the model was put in place.
             map_from_world: map_from_world(model, options).unwrap_or_else(|_| Pose::identity()),
-            notes: notes(model, heads, intrinsics),
+            notes: notes(model, heads, intrinsics, options.map_smoothing_s),
         }
     }
 }
 
-fn notes(model: &LoadedModel, heads: Heads, intrinsics: Intrinsics) -> Vec<String> {
+fn notes(model: &LoadedModel, heads: Heads, intrinsics: Intrinsics, map_smoothing_s: f64) -> Vec<String> {
     let mut notes = Vec::new();
     let mut note = |condition: bool, text: &str| {
         if condition {
@@ -78,6 +78,10 @@ fn notes(model: &LoadedModel, heads: Heads, intrinsics: Intrinsics) -> Vec<Strin
     );
     let has_place = heads.fused.pose || heads.global.pose;
     note(has_place && !place, "the covariance of the map pose is not known: its head is not trained");
+    note(
+        map_smoothing_s > 0.0 && has_place && !(heads.relative.pose && (motion || !place)),
+        "map poses are not smoothed: that needs a relative head, with a covariance where the map pose has one",
+    );
     note(
         has_place && !(motion && place),
         "global poses are not checked against the motion: covariances are missing",

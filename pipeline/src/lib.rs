@@ -107,7 +107,7 @@ impl Pipeline {
             time: TimeRule::new(options.time),
             preprocessor: Preprocessor::new(input_spec(&model)?, options.intrinsics, options.camera)?,
             infer: Infer::new(model),
-            fuse: Fuse::new(traits, options.base_from_camera, options.gate, options.initializing_frames),
+            fuse: Fuse::new(traits, options.base_from_camera, options.rules()),
             options,
         })
     }
@@ -202,7 +202,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Puts other rules in place for what comes: times, gate, and how long a start is INITIALIZING. Poses go on.
+    /// Puts other rules in place for what comes: times, gate, smoothing of the map pose in seconds, and how long a start is
+    /// INITIALIZING. Poses go on.
     ///
     /// # Errors
     /// When a number is out of range; the old rules stay in place then.
@@ -210,12 +211,14 @@ impl Pipeline {
         &mut self,
         time: TimeOptions,
         gate: Option<InnovationGate>,
+        map_smoothing_s: f64,
         initializing_frames: u32,
     ) -> Result<(), OptionsError> {
-        let options = PipelineOptions { time, gate, initializing_frames, ..self.options.clone() };
+        let options =
+            PipelineOptions { time, gate, map_smoothing_s, initializing_frames, ..self.options.clone() };
         options.validate()?;
         self.time.set_options(time);
-        self.fuse.set_rules(gate, initializing_frames);
+        self.fuse.set_rules(options.rules());
         self.options = options;
         Ok(())
     }

@@ -4,6 +4,7 @@ use grnet_frame::Camera;
 use grnet_geometry::Pose;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
+use crate::fuse::Rules;
 use crate::preprocess::IntrinsicsOptions;
 
 /// Options of a [`Pipeline`](crate::Pipeline); the defaults suit a forward-looking camera at 10 to 60 frames/s.
@@ -22,6 +23,10 @@ pub struct PipelineOptions {
     pub time: TimeOptions,
     /// When a global pose is no longer believed; `None` believes every one.
     pub gate: Option<InnovationGate>,
+    /// Time constant in seconds of the mean that `map_from_base` is of accepted global poses, each moved by the odometry
+    /// since; 0, the default, publishes them as they are. Long constants suit a network whose motion is better than its
+    /// global pose is steady: views that its training came near to only now and then.
+    pub map_smoothing_s: f64,
     /// Samples that are marked INITIALIZING after a start or a restart; the first one has no motion.
     pub initializing_frames: u32,
 }
@@ -35,6 +40,7 @@ impl Default for PipelineOptions {
             intrinsics: IntrinsicsOptions::default(),
             time: TimeOptions::default(),
             gate: Some(InnovationGate::default()),
+            map_smoothing_s: 0.0,
             initializing_frames: 1,
         }
     }
@@ -107,6 +113,11 @@ pub enum OptionsError {
 }
 
 impl PipelineOptions {
+    pub(crate) fn rules(&self) -> Rules {
+        let Self { gate, map_smoothing_s, initializing_frames, .. } = *self;
+        Rules { gate, map_smoothing_s, initializing_frames }
+    }
+
     pub(crate) fn validate(&self) -> Result<(), OptionsError> {
         check_pose("base_from_camera", &self.base_from_camera)?;
         if let Some(pose) = &self.map_from_world {
@@ -120,6 +131,9 @@ impl PipelineOptions {
         range("intrinsics.tolerance", tolerance, fine, "a number of at least 0")?;
         let fine = (0.0..=1.0).contains(&least_coverage);
         range("intrinsics.least_coverage", least_coverage, fine, "a share between 0 and 1")?;
+        let smoothing_s = self.map_smoothing_s;
+        let fine = smoothing_s.is_finite() && smoothing_s >= 0.0;
+        range("map_smoothing_s", smoothing_s, fine, "a number of at least 0")?;
         let gap_ns = self.time.longest_gap_ns;
         range("time.longest_gap_ns", gap_ns as f64, gap_ns > 0, "a positive number")
     }
@@ -169,6 +183,9 @@ mod tests {
         broken.intrinsics.least_coverage = 1.5;
         let error = broken.validate().unwrap_err().to_string();
         assert_eq!(error, "intrinsics.least_coverage is 1.5, a share between 0 and 1 expected");
+        let broken = PipelineOptions { map_smoothing_s: -0.1, ..PipelineOptions::default() };
+        let error = broken.validate().unwrap_err().to_string();
+        assert_eq!(error, "map_smoothing_s is -0.1, a number of at least 0 expected");
         assert!(PipelineOptions::default().validate().is_ok());
     }
 }

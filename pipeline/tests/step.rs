@@ -5,12 +5,14 @@ mod common;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use common::{PERIOD_NS, SIZE, assert_close, at_ns, config, frame, pipeline, step};
+use common::{PERIOD_NS, SIZE, assert_close, at_ns, config, frame, model, pipeline, step};
 use grnet_frame::{Camera, CaptureTime, Distortion, Frame, PixelFormat, Pixels};
 use grnet_geometry::{Covariance6, Pose, quaternion};
 use grnet_model::candle_core::{Device, Tensor};
 use grnet_model::preprocessing::Preprocessing;
-use grnet_model::{CameraIntrinsics, Checkpoint, LoadedModel, NetworkConfig, RigidTransform, untrained};
+use grnet_model::{
+    Branches, CameraIntrinsics, Checkpoint, LoadedModel, NetworkConfig, RigidTransform, untrained,
+};
 use grnet_pipeline::preprocess::{InputSpec, Preprocessor};
 use grnet_pipeline::{
     Estimate, Intrinsics, IntrinsicsError, IntrinsicsOptions, IntrinsicsPolicy, NoObserver, Pipeline,
@@ -74,6 +76,41 @@ fn an_untrained_model_is_degraded_from_the_first_frame_on() {
     }
     let notes = pipeline.info().notes.join("\n");
     assert!(notes.contains("not trained") && notes.contains("intrinsics"), "{notes}");
+}
+
+#[test]
+fn map_poses_are_averaged_on_request_until_the_rules_change() {
+    let options = PipelineOptions { map_smoothing_s: 2.0, ..PipelineOptions::default() };
+    let mut pipeline = Pipeline::new(model(), options.clone()).unwrap();
+    let first = step(&mut pipeline, 0);
+    assert_eq!(first.map_from_base.pose, first.network_map_from_base.pose);
+    let second = step(&mut pipeline, 1);
+    let [begin, network] = [&first, &second].map(|estimate| estimate.network_map_from_base.pose.unwrap());
+    let continued = begin * second.previous_from_current.pose.unwrap();
+    let mean = second.map_from_base.pose.unwrap();
+    let middle = (continued.translation.vector + network.translation.vector) / 2.0;
+    assert!((mean.translation.vector - middle).norm() < 1e-9 && mean != network);
+
+    assert!(pipeline.set_tracking(options.time, options.gate, f64::NAN, 1).is_err(), "no number");
+    let third = step(&mut pipeline, 2);
+    assert_ne!(third.map_from_base.pose, third.network_map_from_base.pose);
+    pipeline.set_tracking(options.time, options.gate, 0.0, 1).unwrap();
+    let fourth = step(&mut pipeline, 3);
+    assert_eq!(fourth.map_from_base.pose, fourth.network_map_from_base.pose);
+    assert_eq!(fourth.reset_epoch, 0);
+}
+
+#[test]
+fn smoothing_that_cannot_be_is_said() {
+    let without_motion =
+        NetworkConfig { branches: Branches { relative: false, global: true, fusion: false }, ..config() };
+    let model = LoadedModel::untrained(&without_motion, 1).unwrap();
+    let notes = |map_smoothing_s| {
+        let options = PipelineOptions { map_smoothing_s, ..PipelineOptions::default() };
+        Pipeline::new(model.clone(), options).unwrap().info().notes.join("\n")
+    };
+    assert!(notes(1.0).contains("map poses are not smoothed"), "{}", notes(1.0));
+    assert!(!notes(0.0).contains("smoothed"), "{}", notes(0.0));
 }
 
 #[test]

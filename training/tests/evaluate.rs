@@ -166,7 +166,11 @@ fn a_report_holds_every_system_and_every_file() {
 
 /// Poses of the fused system in the test sequence, by time.
 fn fused(out: &Path) -> Vec<(i64, grnet_geometry::Pose)> {
-    let path = out.join("trajectories/small-fused/seq-03.tum");
+    poses(out, "small-fused")
+}
+
+fn poses(out: &Path, system: &str) -> Vec<(i64, grnet_geometry::Pose)> {
+    let path = out.join(format!("trajectories/{system}/seq-03.tum"));
     tum::read(&path).unwrap().poses().iter().map(|p| (p.time_ns, p.world_from_camera)).collect()
 }
 
@@ -251,6 +255,7 @@ fn what_cannot_be_judged_is_refused_with_what_to_do() {
     refused(&["--scene", text(&missing)], &["exactly one --checkpoint"]);
     refused(&["--baselines", "cnn1"], &["--checkpoint"]);
     refused(&["--gap", "0"], &["--gap"]);
+    refused(&["--map-smoothing-ms", "60001"], &["--map-smoothing-ms", "60000"]);
     refused(&["--sequence", "seq-09"], &["seq-09"]);
     let list = folder.path().join("all.txt");
     fs::write(&list, "seq-03\n").unwrap();
@@ -271,6 +276,25 @@ fn what_cannot_be_judged_is_refused_with_what_to_do() {
     let error = evaluate(&["--data", data, "--out", text(&out)]).unwrap_err();
     assert!(error.contains("not empty") && error.contains("--out"), "{error}");
     assert!(out.join("thesis.tex").exists());
+}
+
+#[test]
+fn published_poses_are_a_row_of_their_own_where_they_are_smoothed() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = checkpoint(folder.path(), "small.safetensors", WHOLE, 1);
+    let out = folder.path().join("report");
+    let published = |ms: &str| {
+        let data = text(recording());
+        let model = ["--checkpoint", text(&model), "--data", data, "--no-baselines", "--out", text(&out)];
+        evaluate(&[&model[..], &["--map-smoothing-ms", ms]].concat()).unwrap();
+        summary(&out).systems.into_iter().find(|s| s.system.kind == Kind::Published)
+    };
+    let found = published("2500").expect("a row");
+    assert!(found.system.about.contains("over 2500 ms"), "{}", found.system.about);
+    let (mean, network) = (poses(&out, "small-published"), poses(&out, "small-fused"));
+    assert_eq!((mean.len(), &mean[0]), (FRAMES, &network[0]));
+    assert!(mean[1..].iter().zip(&network[1..]).all(|(mean, network)| mean.1 != network.1));
+    assert!(published("0").is_none());
 }
 
 #[test]

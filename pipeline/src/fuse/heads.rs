@@ -63,6 +63,17 @@ impl Uncertain {
         }
     }
 
+    /// The mean of two statements about one pose, `other` with the weight `share` (0 to 1): translations on the line between
+    /// them, rotations on the great circle; where that is not unique, `other`.
+    ///
+    /// How the two errors depend on each other does not matter: the square of a mean is at most the mean of the squares, so
+    /// that the mean of the covariances is never too small.
+    pub(crate) fn towards(&self, other: &Self, share: f64) -> Self {
+        let pose = self.pose.try_lerp_slerp(&other.pose, share, 1e-9).unwrap_or(other.pose);
+        let covariance = self.covariance.scaled(1.0 - share) + other.covariance.scaled(share);
+        Self { pose, covariance }
+    }
+
     /// Both numbers that a caller sees are finite, or the covariance is NaN throughout.
     pub(crate) fn is_presentable(&self) -> bool {
         is_finite(&self.pose)

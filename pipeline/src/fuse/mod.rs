@@ -29,6 +29,14 @@ pub(crate) struct ModelTraits {
     pub(crate) map_from_world: Pose,
 }
 
+/// Options that may change between two frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Rules {
+    pub(crate) gate: Option<InnovationGate>,
+    pub(crate) map_smoothing_s: f64,
+    pub(crate) initializing_frames: u32,
+}
+
 /// Which frame an output belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stamp {
@@ -55,18 +63,13 @@ pub(crate) struct Fuse {
 }
 
 impl Fuse {
-    pub(crate) fn new(
-        traits: ModelTraits,
-        base_from_camera: Pose,
-        gate: Option<InnovationGate>,
-        initializing_frames: u32,
-    ) -> Self {
+    pub(crate) fn new(traits: ModelTraits, base_from_camera: Pose, rules: Rules) -> Self {
         Self {
             traits,
             base_from_camera,
-            initializing_frames,
+            initializing_frames: rules.initializing_frames,
             odometry: None,
-            map: MapTracker::new(gate),
+            map: MapTracker::new(rules.gate, rules.map_smoothing_s),
             reset_epoch: 0,
             frames: 0,
             start_reason: Reason::None,
@@ -115,9 +118,9 @@ impl Fuse {
     }
 
     /// Other rules from the next frame on.
-    pub(crate) fn set_rules(&mut self, gate: Option<InnovationGate>, initializing_frames: u32) {
-        self.map.set_gate(gate);
-        self.initializing_frames = initializing_frames;
+    pub(crate) fn set_rules(&mut self, rules: Rules) {
+        self.map.set_rules(rules.gate, rules.map_smoothing_s);
+        self.initializing_frames = rules.initializing_frames;
     }
 
     pub(crate) fn reset_epoch(&self) -> u32 {
@@ -145,7 +148,7 @@ impl Fuse {
         let odom_from_base = odometry.map(|odometry| odometry.odom_from_base());
         let network = fused.or(global).map(|world_from_camera| self.in_map(&world_from_camera));
         let mut map = self.map.clone();
-        let update = map.update(motion.as_ref(), network.as_ref());
+        let update = map.update(motion.as_ref(), network.as_ref(), stamp.dt_s);
         for pose in [&odom_from_base, &motion, &network, &update.map_from_base].into_iter().flatten() {
             if !pose.is_presentable() {
                 return Err(NotAPose);

@@ -10,8 +10,8 @@ use grnet_model::LoadedModel;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{
-    BaselineName, Data, DataOptions, EvaluateError, Evaluation, SCHEMA, Summary, add_baselines, add_model,
-    methods,
+    BaselineName, Data, DataOptions, EvaluateError, Evaluation, NamedModel, SCHEMA, Summary, add_baselines,
+    add_model, methods,
     score::{path_m, score},
 };
 use crate::dataset_args::DatasetArgs;
@@ -42,6 +42,9 @@ pub struct EvaluateArgs {
     /// Frames between the two ends of a relative motion.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
     pub gap: u16,
+    /// Time constant in milliseconds of the published poses, as the daemon's tracking.map_smoothing_ms.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=60_000))]
+    pub map_smoothing_ms: u32,
     /// Baselines to compute [default: all that the recording allows].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME", conflicts_with = "no_baselines")]
     pub baselines: Vec<BaselineName>,
@@ -88,9 +91,10 @@ impl EvaluateArgs {
         let progress = || bar.inc(1);
 
         let (mut systems, mut infos) = (Vec::new(), Vec::new());
-        for Named { name, files, model } in &models {
-            bar.set_message(name.clone());
-            add_model(&mut systems, &mut infos, &data, (name, files.clone()), model, cnn1, &progress)?;
+        let map_smoothing_s = f64::from(self.map_smoothing_ms) * 1e-3;
+        for named in &models {
+            bar.set_message(named.name.clone());
+            add_model(&mut systems, &mut infos, &data, named, map_smoothing_s, cnn1, &progress)?;
         }
         bar.set_message("baselines");
         add_baselines(&mut systems, &data, &names, gap, &progress)?;
@@ -146,7 +150,7 @@ impl EvaluateArgs {
         Ok(names)
     }
 
-    fn load_models(&self) -> anyhow::Result<Vec<Named>> {
+    fn load_models(&self) -> anyhow::Result<Vec<NamedModel>> {
         if !self.scene.is_empty() && self.checkpoint.len() != 1 {
             anyhow::bail!(
                 "--scene puts a scene on one checkpoint, found {} checkpoints: give exactly one --checkpoint",
@@ -170,7 +174,7 @@ impl EvaluateArgs {
                 let shown = scene.filter(|_| scenes.len() > 1).unwrap_or(checkpoint);
                 let name = unique(&mut taken, shown);
                 let files = [Some(checkpoint.as_path()), *scene].into_iter().flatten();
-                models.push(Named {
+                models.push(NamedModel {
                     name,
                     files: files.map(|file| file.display().to_string()).collect(),
                     model,
@@ -179,12 +183,6 @@ impl EvaluateArgs {
         }
         Ok(models)
     }
-}
-
-struct Named {
-    name: String,
-    files: Vec<String>,
-    model: LoadedModel,
 }
 
 /// The file's name without its extension; a number is added when it is taken.

@@ -104,7 +104,19 @@ pub fn add_baselines(
     Ok(())
 }
 
-/// Plays a model and adds its outputs; with `cnn1` also retrieval by its CNN1's features.
+/// A model to be judged.
+#[derive(Debug, Clone)]
+pub struct NamedModel {
+    /// What the report calls it.
+    pub name: String,
+    /// The files it is of.
+    pub files: Vec<String>,
+    /// The model.
+    pub model: LoadedModel,
+}
+
+/// Plays a model and adds its outputs; with `cnn1` also retrieval by its CNN1's features. `map_smoothing_s` is the time
+/// constant of the published poses ([`PipelineOptions::map_smoothing_s`](grnet_pipeline::PipelineOptions)).
 ///
 /// A model with fusion is played a second time with the fused head off: the pipeline then gives RCNN2's own pose.
 ///
@@ -114,13 +126,13 @@ pub fn add_model(
     systems: &mut Vec<System>,
     models: &mut Vec<ModelInfo>,
     data: &Data,
-    (name, files): (&str, Vec<String>),
-    model: &LoadedModel,
+    NamedModel { name, files, model }: &NamedModel,
+    map_smoothing_s: f64,
     cnn1: bool,
     progress: Progress<'_>,
 ) -> Result<(), EvaluateError> {
     let heads = model.network.live_heads();
-    let played = play(name, model, data, progress)?;
+    let played = play(name, model, data, map_smoothing_s, progress)?;
     let index = models.len();
     let mut add = |output: &str, kind, knowledge, about: &str, estimates: &[PoseEstimate]| {
         let system = System::new(&format!("{name} {output}"), kind, about);
@@ -132,15 +144,18 @@ pub fn add_model(
     if heads.global.pose {
         let about = "absolute pose of RCNN2 alone";
         if heads.fused.pose {
-            let global = play(name, &without_fusion(model, heads), data, progress)?;
+            let global = play(name, &without_fusion(model, heads), data, 0.0, progress)?;
             add("global", Kind::Global, Knowledge::None, about, &global.network);
         } else {
             add("global", Kind::Global, Knowledge::None, about, &played.network);
         }
     }
     if (heads.fused.pose || heads.global.pose) && differ(&played) {
-        let about = "what the daemon publishes: the network's pose, gated by the odometry";
-        add("published", Kind::Published, Knowledge::None, about, &played.published);
+        let mut about = "what the daemon publishes: the network's pose, gated by the odometry".to_owned();
+        if map_smoothing_s > 0.0 {
+            about += &format!(" and averaged along it over {:.0} ms", map_smoothing_s * 1e3);
+        }
+        add("published", Kind::Published, Knowledge::None, &about, &played.published);
     }
     if heads.relative.pose {
         let about = "integrated motion of RCNN1 from the true pose of each block's first frame";
@@ -153,7 +168,7 @@ pub fn add_model(
         let poses = Some(baselines::cnn1::predict(model, &data.task, progress)?);
         systems.push(System { poses, model: Some(index), ..system });
     }
-    models.push(info(name, files, model, &played));
+    models.push(info(name, files.clone(), model, &played));
     Ok(())
 }
 
@@ -184,7 +199,7 @@ fn without_fusion(model: &LoadedModel, heads: Heads) -> LoadedModel {
     model
 }
 
-/// Whether the gate changed anything.
+/// Whether the gate or the mean changed anything.
 fn differ(played: &Played) -> bool {
     played.network.iter().zip(&played.published).any(|(network, published)| network.pose != published.pose)
 }

@@ -24,7 +24,7 @@ use grnet_model::CheckpointError;
 use grnet_pipeline::PipelineError;
 
 pub use data::{Data, DataOptions};
-pub use methods::{BaselineName, add_baselines, add_model};
+pub use methods::{BaselineName, NamedModel, add_baselines, add_model};
 pub use play::{Played, play};
 pub use score::{FrameError, frame_errors, score, sorted_nees};
 pub use summary::{

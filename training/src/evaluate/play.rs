@@ -19,7 +19,7 @@ const PROBLEMS_NAMED: usize = 5;
 pub struct Played {
     /// The network's pose in the world, before any gate.
     pub network: Vec<PoseEstimate>,
-    /// The published pose in the world.
+    /// The published pose in the world, gated and smoothed.
     pub published: Vec<PoseEstimate>,
     /// Integrated motion since the block's first frame with a true pose, starting at that pose. After a restart of the
     /// odometry within a block nothing ties it to the world any more: unknown.
@@ -32,7 +32,8 @@ pub struct Played {
     pub notes: Vec<String>,
 }
 
-/// Runs a model over the test frames; `progress` is called after each.
+/// Runs a model over the test frames, the published poses being means with the time constant `map_smoothing_s`; `progress`
+/// is called after each frame.
 ///
 /// # Errors
 /// When the model does not fit the recording's camera, or the frames cannot be played.
@@ -40,6 +41,7 @@ pub fn play(
     name: &str,
     model: &LoadedModel,
     data: &Data,
+    map_smoothing_s: f64,
     progress: &dyn Fn(),
 ) -> Result<Played, EvaluateError> {
     let frames = data.task.test.len();
@@ -59,7 +61,8 @@ pub fn play(
             recording: recording.name.clone(),
             source: Box::new(source),
         };
-        let mut pipeline = Pipeline::new(model.clone(), options(recording)).map_err(refused)?;
+        let options = PipelineOptions { map_smoothing_s, ..options(recording) };
+        let mut pipeline = Pipeline::new(model.clone(), options).map_err(refused)?;
         if let Some(camera) = &recording.camera {
             pipeline.check_camera(camera).map_err(|error| refused(error.into()))?;
         }
