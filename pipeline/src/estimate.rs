@@ -106,14 +106,15 @@ pub struct Estimate {
     pub reason: Reason,
     /// Counts every jump of the odometry frame.
     pub reset_epoch: u32,
-    /// The body in the map: the fused network pose, or the last accepted one moved by the odometry. May jump.
+    /// The body in the map: the fused network pose, or the last accepted one moved by the odometry; with
+    /// [`map_smoothing_s`](crate::PipelineOptions::map_smoothing_s) a mean of such poses. May jump.
     pub map_from_base: PoseEstimate,
     /// The body in the odometry frame: integrated relative motion. Continuous within one `reset_epoch`;
     /// identity with zero covariance where it starts, for there it is the origin by definition.
     pub odom_from_base: PoseEstimate,
     /// The body now in the body at the last processed frame; unknown on the first frame after a restart.
     pub previous_from_current: PoseEstimate,
-    /// The fused network pose of this frame (the global one for a model without fusion), before any gate.
+    /// The fused network pose of this frame (the global one for a model without fusion), before any gate or mean.
     pub network_map_from_base: PoseEstimate,
     /// Mean linear velocity in body axes since the last key frame that is at least a keyframe interval old (just after a
     /// start, since the first frame); where every frame is a key frame, since the last frame.
