@@ -2,13 +2,13 @@
 
 use std::hint::black_box;
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use grnet_capture::dataset::{self, OpenOptions};
 use grnet_model::Preprocessing;
 use grnet_pipeline::preprocess::InputSpec;
 use grnet_train::data::{
-    AugmentOptions, RecordedOptions, RecordedWindows, RenderedOptions, RenderedWindows, WindowOptions,
-    Windows,
+    AugmentOptions, RecordedOptions, RecordedWindows, RenderedOptions, RenderedWindows, ViewOptions,
+    WindowOptions, Windows,
 };
 use image::RgbImage;
 
@@ -46,14 +46,16 @@ fn recorded(criterion: &mut Criterion) {
             AugmentOptions { plain_share: 0.0, blur_share: 0.0, noise: 0.0, ..AugmentOptions::rendered() };
         let blur = AugmentOptions { plain_share: 0.0, blur_share: 1.0, ..AugmentOptions::recorded() };
         let all = AugmentOptions { plain_share: 0.0, ..AugmentOptions::recorded() };
-        for (name, augment) in [
-            ("plain", AugmentOptions::default()),
-            ("warp", warp),
-            ("colour", colour),
-            ("everything", all),
-            ("everything and blur", blur),
+        let moved = Some(ViewOptions { share: 1.0, ..ViewOptions::default() });
+        for (name, augment, views) in [
+            ("plain", AugmentOptions::default(), None),
+            ("warp", warp, None),
+            ("warp from elsewhere", warp, moved),
+            ("colour", colour, None),
+            ("everything", all, None),
+            ("everything and blur", blur, None),
         ] {
-            let options = RecordedOptions { augment, ..RecordedOptions::default() };
+            let options = RecordedOptions { augment, views, ..RecordedOptions::default() };
             let windows =
                 RecordedWindows::new(folder.path(), &recordings, input(side), options).expect("windows");
             // Every frame is decoded once.
@@ -66,6 +68,29 @@ fn recorded(criterion: &mut Criterion) {
                 });
             });
         }
+    }
+    group.finish();
+}
+
+/// The first view of a frame: seven images decoded, and its depth found.
+fn depth(criterion: &mut Criterion) {
+    let folder = recording();
+    let recordings = dataset::open(folder.path(), &OpenOptions::default()).expect("a recording");
+    let mut group = criterion.benchmark_group("first view of a frame");
+    group.sample_size(20);
+    for side in [112, 224] {
+        let make = || {
+            let options = RecordedOptions {
+                window: WindowOptions { k: 1, ..WindowOptions::default() },
+                augment: AugmentOptions { rotation_deg: 12.0, ..AugmentOptions::default() },
+                views: Some(ViewOptions { share: 1.0, ..ViewOptions::default() }),
+                ..RecordedOptions::default()
+            };
+            RecordedWindows::new(folder.path(), &recordings, input(side), options).expect("windows")
+        };
+        group.bench_function(BenchmarkId::from_parameter(side), |bencher| {
+            bencher.iter_batched_ref(make, |windows| black_box(windows.window(0)), BatchSize::PerIteration);
+        });
     }
     group.finish();
 }
@@ -108,5 +133,5 @@ fn rendered(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, recorded, rendered);
+criterion_group!(benches, recorded, depth, rendered);
 criterion_main!(benches);

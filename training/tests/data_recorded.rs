@@ -2,13 +2,15 @@
 
 #![allow(clippy::result_large_err)]
 
+mod rooms;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use grnet_capture::dataset::{self, OpenOptions, Recording, Split};
 use grnet_capture::decode::decode_file;
-use grnet_frame::{Camera, CaptureTime, Distortion, Frame};
+use grnet_frame::{CaptureTime, Frame};
 use grnet_model::{Preprocessing, ResizePolicy};
 use grnet_pipeline::IntrinsicsOptions;
 use grnet_pipeline::preprocess::{InputSpec, Preprocessor};
@@ -16,17 +18,9 @@ use grnet_train::data::{
     AugmentOptions, Border, DataError, Loader, RecordedOptions, RecordedWindows, WindowOptions, Windows,
     statistics,
 };
-use grnet_train::synth::{
-    FrameKey, ImageFormat, PathOptions, Recipe, RenderTarget, Scene, SceneOptions, Sensor, SensorOptions,
-    Shutter, Trajectory, Volume, VolumeKind, write,
-};
+use grnet_train::synth::{PathOptions, Scene, SceneOptions, Trajectory, Volume, VolumeKind};
 use image::{Rgb, RgbImage};
-use nalgebra::Isometry3;
-
-fn input(width: u32, height: u32, resize: ResizePolicy) -> InputSpec {
-    let preprocessing = Preprocessing { resize, ..Preprocessing::default() };
-    InputSpec { size_px: (width, height), preprocessing, trained_camera: None }
-}
+use rooms::{input, room, seen};
 
 fn plain(window: WindowOptions) -> RecordedOptions {
     RecordedOptions { window, augment: AugmentOptions::default(), ..RecordedOptions::default() }
@@ -172,7 +166,7 @@ fn frames_without_a_pose_end_a_run() {
 
 #[test]
 fn without_augmentation_the_picture_is_what_the_robot_sees() {
-    let (folder, _) = room();
+    let (folder, _) = room(10, 2.0);
     let recordings = dataset::open(folder.path(), &OpenOptions::default()).unwrap();
     for resize in [ResizePolicy::Stretch, ResizePolicy::CropCentre] {
         let input = input(56, 48, resize);
@@ -196,58 +190,6 @@ fn without_augmentation_the_picture_is_what_the_robot_sees() {
     }
 }
 
-const SIZE: (u32, u32) = (320, 240);
-
-fn room_camera() -> Camera {
-    Camera::new(SIZE, (262.5, 262.5), (159.5, 119.5), Distortion::None).unwrap()
-}
-
-/// A short recording of a room by a perfect sensor, and the room.
-fn room() -> (tempfile::TempDir, Scene) {
-    let folder = tempfile::tempdir().unwrap();
-    let scene = SceneOptions { room: 1, texel_m: 0.02 };
-    let recipe = Recipe {
-        scene,
-        volume: VolumeKind::Handheld,
-        seed: 5,
-        sequences: 1,
-        test_sequences: 0,
-        frames: 10,
-        rate_hz: 2.0,
-        camera: room_camera(),
-        format: ImageFormat::Png,
-        depth: false,
-        edge_samples: 8,
-        sensor: SensorOptions::clean(),
-        shutter: Shutter::default(),
-    };
-    let out = folder.path().join("room");
-    write(&recipe, &out, &|| {}).unwrap();
-    for entry in std::fs::read_dir(&out).unwrap() {
-        let from = entry.unwrap().path();
-        std::fs::rename(&from, folder.path().join(from.file_name().unwrap())).unwrap();
-    }
-    (folder, Scene::build(scene))
-}
-
-/// What the network would see of the room from a pose.
-fn seen(scene: &Scene, world_from_camera: &Isometry3<f64>, input: &InputSpec) -> Vec<f32> {
-    let mut target = RenderTarget::new(8);
-    scene.render(world_from_camera, &room_camera(), &mut target).unwrap();
-    let mut rgb = Vec::new();
-    let key = FrameKey { seed: 0, sequence: 0, index: 0 };
-    Sensor { options: SensorOptions::clean() }.develop(&target, key, 1.0, &mut rgb);
-    let pixels = grnet_frame::Pixels::packed(grnet_frame::PixelFormat::Rgb8, SIZE.0, SIZE.1, rgb).unwrap();
-    let frame = Frame {
-        pixels: Arc::new(pixels),
-        capture_time: CaptureTime::recorded(0),
-        sequence: 0,
-        camera: Some(room_camera()),
-    };
-    let mut preprocessor = Preprocessor::new(input.clone(), IntrinsicsOptions::default(), None).unwrap();
-    preprocessor.run(&frame).unwrap().to_vec()
-}
-
 /// Mean absolute difference over the pixels that are not the fill colour, and how many those are.
 fn difference(found: &[f32], expected: &[f32]) -> (f32, usize) {
     let size = found.len() / 3;
@@ -264,7 +206,7 @@ fn difference(found: &[f32], expected: &[f32]) -> (f32, usize) {
 /// rotation it does not.
 #[test]
 fn a_rotated_picture_is_what_the_camera_sees_at_the_corrected_pose() {
-    let (folder, scene) = room();
+    let (folder, scene) = room(10, 2.0);
     let recordings = dataset::open(folder.path(), &OpenOptions::default()).unwrap();
     for (resize, size) in [(ResizePolicy::Stretch, (96, 96)), (ResizePolicy::CropCentre, (96, 80))] {
         let input = input(size.0, size.1, resize);
@@ -316,7 +258,7 @@ fn a_rotated_picture_is_what_the_camera_sees_at_the_corrected_pose() {
 
 #[test]
 fn a_rotation_by_almost_nothing_changes_almost_nothing() {
-    let (folder, _) = room();
+    let (folder, _) = room(10, 2.0);
     let recordings = dataset::open(folder.path(), &OpenOptions::default()).unwrap();
     for resize in [ResizePolicy::Stretch, ResizePolicy::CropCentre] {
         let input = input(96, 80, resize);
@@ -366,7 +308,7 @@ fn broken_images_are_errors_in_their_place() {
 
 #[test]
 fn augmented_windows_are_the_same_whatever_the_threads_and_the_cache() {
-    let (folder, _) = room();
+    let (folder, _) = room(10, 2.0);
     let recordings = dataset::open(folder.path(), &OpenOptions::default()).unwrap();
     let of = |cache_mib, seed| {
         let window = WindowOptions { k: 3, strides: vec![1, 2], seed, ..WindowOptions::default() };

@@ -36,10 +36,10 @@ pub enum DataError {
         /// Length of the longest run.
         longest: usize,
     },
-    /// Rotations of the camera need its intrinsics.
+    /// Rotations and shifts of the camera need its intrinsics.
     #[error(
-        "the camera cannot be rotated: {path} has no intrinsics; set `focal_px`, or `rotation_deg` and \
-         `frame_rotation_deg` to 0"
+        "the camera cannot be rotated or moved: {path} has no intrinsics; set `focal_px`, or leave out `views` and set \
+         `rotation_deg` and `frame_rotation_deg` to 0"
     )]
     NoIntrinsics {
         /// The first image without.

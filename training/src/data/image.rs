@@ -2,12 +2,14 @@
 
 use std::sync::Mutex;
 
-use grnet_frame::Frame;
+use grnet_frame::{Camera, Frame};
 use grnet_model::{Preprocessing, ResizePolicy};
 use grnet_pipeline::preprocess::{InputSpec, PreprocessError, Preprocessor};
 use grnet_pipeline::{IntrinsicsError, IntrinsicsOptions};
 
-use super::DataError;
+use nalgebra::Matrix3;
+
+use super::{Border, DataError};
 
 /// Packed 8-bit RGB.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -15,6 +17,73 @@ pub(crate) struct Rgb {
     pub width: usize,
     pub height: usize,
     pub data: Vec<u8>,
+}
+
+impl Rgb {
+    /// The colour 0..255 between four pixels; `None` beyond a border that is not continued.
+    #[inline]
+    pub fn sample(&self, (x, y): (f32, f32), border: Border) -> Option<[f32; 3]> {
+        let (last_x, last_y) = ((self.width - 1) as f32, (self.height - 1) as f32);
+        let (cx, cy) = (x.clamp(0.0, last_x), y.clamp(0.0, last_y));
+        if border == Border::Mean && ((x - cx).abs() > 0.5 || (y - cy).abs() > 0.5) {
+            return None;
+        }
+        // The left of two neighbours, also where the image is a single pixel wide.
+        let (left, top) = (
+            (cx as usize).min(self.width.saturating_sub(2)),
+            (cy as usize).min(self.height.saturating_sub(2)),
+        );
+        let row_bytes = self.width * 3;
+        let (right, below) =
+            (if self.width > 1 { 3 } else { 0 }, if self.height > 1 { row_bytes } else { 0 });
+        let (fx, fy) = (cx - left as f32, cy - top as f32);
+        let at = top * row_bytes + left * 3;
+        let (upper, lower) = (&self.data[at..][..3 + right], &self.data[at + below..][..3 + right]);
+        Some([0, 1, 2].map(|c| {
+            let value = |row: &[u8], offset: usize| f32::from(row[offset + c]);
+            let (a, b) = (value(upper, 0), value(upper, right));
+            let (d, e) = (value(lower, 0), value(lower, right));
+            let (above, under) = (a + (b - a) * fx, d + (e - d) * fx);
+            above + (under - above) * fy
+        }))
+    }
+}
+
+/// Focal lengths and centre of a pinhole camera in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Lens {
+    focal_px: (f64, f64),
+    centre_px: (f64, f64),
+}
+
+impl Lens {
+    /// Of the network's input, to which `policy` brings the images of `camera`.
+    pub fn of_input(camera: &Camera, policy: ResizePolicy, input_px: (u32, u32)) -> Self {
+        let [left, top, width, height] = kept(policy, camera.size_px(), input_px);
+        let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.centre_px());
+        let (sx, sy) = (f64::from(input_px.0) / width, f64::from(input_px.1) / height);
+        // As `Camera::resized`, for a box that may begin between pixels.
+        let centre_px = ((cx + 0.5 - left) * sx - 0.5, (cy + 0.5 - top) * sy - 0.5);
+        Self { focal_px: (fx * sx, fy * sy), centre_px }
+    }
+
+    /// Of the whole image of `camera`, undistorted and stored at this size.
+    pub fn of_stored(camera: &Camera, stored_px: (u32, u32)) -> Self {
+        let stored = camera.resized(stored_px.0, stored_px.1);
+        Self { focal_px: stored.focal_px(), centre_px: stored.centre_px() }
+    }
+
+    /// Pixels (column, row, 1) of directions (x, y, 1).
+    pub fn pixel_from_ray(&self) -> Matrix3<f64> {
+        let ((fx, fy), (cx, cy)) = (self.focal_px, self.centre_px);
+        Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Directions (x, y, 1) of pixels (column, row, 1).
+    pub fn ray_from_pixel(&self) -> Matrix3<f64> {
+        let ((fx, fy), (cx, cy)) = (self.focal_px, self.centre_px);
+        Matrix3::new(1.0 / fx, 0.0, -cx / fx, 0.0, 1.0 / fy, -cy / fy, 0.0, 0.0, 1.0)
+    }
 }
 
 /// The run-time preprocessing, stopped before the bytes become normalised floats.

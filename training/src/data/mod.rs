@@ -7,6 +7,7 @@
 //! | [`rendered`] | windows rendered on the fly in [synthetic rooms](crate::synth) |
 //! | [`mixed`] | several sources with weights |
 //! | [`echo`] | windows shown several times |
+//! | [`views`] | frames drawn from where the camera never was, by the depth that the recording shows |
 //! | [`augment`] | colour, noise, blur, erasing, and camera rotations with the pose corrected |
 //! | [`queue`] | [`Loader`]: worker threads that make batches ahead of the trainer, in order |
 //! | [`statistics`] | poses without images, to learn means and scales from |
@@ -26,6 +27,7 @@ pub mod queue;
 pub mod recorded;
 pub mod rendered;
 pub mod statistics;
+pub mod views;
 pub mod window;
 
 pub use augment::{AugmentOptions, Border};
@@ -35,4 +37,5 @@ pub use mixed::Mixed;
 pub use queue::{Batch, Loader};
 pub use recorded::{RecordedOptions, RecordedWindows};
 pub use rendered::{RenderedOptions, RenderedWindows};
+pub use views::ViewOptions;
 pub use window::{Window, WindowOptions, Windows};

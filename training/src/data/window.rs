@@ -130,6 +130,8 @@ pub(crate) enum Purpose {
     Augment = 2,
     /// Which source.
     Mix = 3,
+    /// Where the camera is moved to.
+    View = 4,
 }
 
 /// The random numbers of window `index`.

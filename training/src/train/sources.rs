@@ -137,6 +137,7 @@ impl Sources {
             preprocessing,
             windows: BTreeMap::new(),
             cameras: BTreeMap::new(),
+            recordings: Vec::new(),
         };
         let named = recipe.stages.iter().map(|stage| &stage.data);
         let names: BTreeSet<&String> = named.chain(recipe.validation.iter().map(|v| &v.data)).collect();
@@ -192,6 +193,7 @@ struct Opening<'a> {
     preprocessing: &'a Preprocessing,
     windows: BTreeMap<String, Arc<dyn Windows>>,
     cameras: BTreeMap<String, Option<Camera>>,
+    recordings: Vec<Arc<RecordedWindows>>,
 }
 
 impl Opening<'_> {
@@ -216,8 +218,13 @@ impl Opening<'_> {
                 (Arc::new(windows), Some(camera))
             }
             DataConfig::Recorded(config) => {
-                let (windows, camera) = self.recorded(config)?;
-                (Arc::new(windows), camera)
+                let (mut windows, camera) = self.recorded(config)?;
+                for other in &self.recordings {
+                    windows.share_depths(other);
+                }
+                let windows = Arc::new(windows);
+                self.recordings.push(windows.clone());
+                (windows, camera)
             }
             DataConfig::Mixed(shares) => {
                 above.push(name.to_owned());

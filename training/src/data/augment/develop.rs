@@ -53,6 +53,11 @@ impl Developer {
         }
     }
 
+    /// The mean colour, 0..255.
+    pub fn mean(&self) -> [f32; 3] {
+        self.mean
+    }
+
     /// Writes frame number `frame` of a window into `canvas`.
     pub fn run(
         &self,

@@ -1,20 +1,24 @@
 //! Windows cut from the training frames of a recording.
 
-use std::ops::Range;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+mod frame;
 
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+
+use frame::{Stored, TrainingFrame, fingerprint, runs, with_focal};
 use grnet_capture::dataset::Recording;
 use grnet_capture::decode::decode_file;
-use grnet_frame::{Camera, CaptureTime, Distortion, Frame, Pixels};
+use grnet_frame::{Camera, CaptureTime, Frame, Pixels};
 use grnet_geometry::Pose;
 use grnet_pipeline::preprocess::InputSpec;
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 use super::augment::{AugmentOptions, Augmentation, Canvas, Developer, Scratch, Source, Warp};
-use super::fingerprint::Fingerprint;
-use super::image::{Pool, Resize, Rgb, kept};
+use super::image::{Lens, Pool, Resize, Rgb, kept};
+use super::views::{Artist, Station, ViewOptions, Views};
 use super::window::{Purpose, Window, WindowOptions, Windows, generator};
 use super::{DataError, FrameError};
 use crate::evaluate::Data;
@@ -27,6 +31,10 @@ pub struct RecordedOptions {
     pub window: WindowOptions,
     /// How they are changed; where this is given, fields that it leaves out are off.
     pub augment: AugmentOptions,
+    /// How they are seen from where the camera never was [default: not at all]. Needs intrinsics, as rotations do, and frames
+    /// whose poses fit their images.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub views: Option<ViewOptions>,
     /// Focal length in pixels of the stored images, instead of what the recording says.
     pub focal_px: Option<f64>,
     /// Pixels of the images kept for rotated views, along each side and for each pixel of the network's input. More
@@ -42,6 +50,7 @@ impl Default for RecordedOptions {
         Self {
             window: WindowOptions::default(),
             augment: AugmentOptions::recorded(),
+            views: None,
             focal_px: None,
             work_scale: 1.15,
             cache_mib: 512,
@@ -60,30 +69,11 @@ pub struct RecordedWindows {
     frames: Vec<TrainingFrame>,
     /// Runs of at least K neighbours, as ranges of `frames`, and the number of frames in all runs up to each.
     blocks: Vec<(Range<usize>, usize)>,
+    views: Option<Views>,
     developer: Developer,
     readers: Pool<Reader>,
     fingerprint: String,
     name: String,
-}
-
-#[derive(Debug)]
-struct TrainingFrame {
-    path: PathBuf,
-    /// Which recording, and which frame of it; neighbours differ by 1.
-    place: (usize, u64),
-    world_from_camera: Pose,
-    camera: Option<Camera>,
-    is_cached: bool,
-    cache: OnceLock<Arc<Stored>>,
-}
-
-/// A frame as augmentation needs it.
-#[derive(Debug, Clone, PartialEq)]
-struct Stored {
-    /// At the network's input size, where windows may stay as they are.
-    exact: Option<Rgb>,
-    /// The whole image, where windows may be rotated.
-    whole: Option<Rgb>,
 }
 
 /// What a thread decodes and draws with.
@@ -92,6 +82,21 @@ struct Reader {
     exact: Resize,
     whole: Option<Resize>,
     scratch: Scratch,
+    artist: Artist,
+}
+
+/// How the camera of a frame is changed: first moved, in its own axes, and then turned.
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    shift: Option<Vector3<f64>>,
+    rotation: Option<UnitQuaternion<f64>>,
+}
+
+impl Change {
+    fn camera_from_changed(&self) -> Pose {
+        let shift = Translation3::from(self.shift.unwrap_or_default());
+        Pose::from_parts(shift, self.rotation.unwrap_or_default())
+    }
 }
 
 impl RecordedWindows {
@@ -143,7 +148,7 @@ impl RecordedWindows {
         input: InputSpec,
         options: RecordedOptions,
     ) -> Result<Self, DataError> {
-        options.check()?;
+        options.check(&input)?;
         let k = options.window.k;
         let runs = runs(&frames);
         let longest = runs.iter().map(Range::len).max().unwrap_or(0);
@@ -160,7 +165,7 @@ impl RecordedWindows {
             let frames = frames.len();
             return Err(DataError::NoWindows { path: path.into(), k, frames, longest });
         }
-        if options.augment.rotates()
+        if (options.augment.rotates() || options.views.is_some())
             && let Some(frame) = frames.iter().find(|frame| frame.camera.is_none())
         {
             return Err(DataError::NoIntrinsics { path: frame.path.clone() });
@@ -169,10 +174,31 @@ impl RecordedWindows {
         for frame in frames.iter_mut().take(fitting) {
             frame.is_cached = true;
         }
+        let views = options.views.map(|views| {
+            let station = |frame: &TrainingFrame| {
+                let camera = frame.camera?;
+                let stored_px = options.work_px(camera.size_px(), &input);
+                let lens = Lens::of_stored(&camera, stored_px);
+                Some(Station { world_from_camera: frame.world_from_camera, lens })
+            };
+            Views::new(views, frames.iter().filter_map(station).collect())
+        });
         let fingerprint = fingerprint(path, &frames, &input, &options)?;
         let developer = Developer::new(&input.preprocessing);
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        Ok(Self { options, input, frames, blocks, developer, readers: Pool::default(), fingerprint, name })
+        let readers = Pool::default();
+        Ok(Self { options, input, frames, blocks, views, developer, readers, fingerprint, name })
+    }
+
+    /// Uses the depths that `other` finds, or has found, where both see the same frames.
+    pub fn share_depths(&mut self, other: &Self) {
+        fn paths(frames: &[TrainingFrame]) -> impl Iterator<Item = &Path> {
+            frames.iter().map(|frame| &*frame.path)
+        }
+        let same_images = paths(&self.frames).eq(paths(&other.frames));
+        if let (Some(own), Some(other), true) = (&mut self.views, &other.views, same_images) {
+            own.share(other);
+        }
     }
 
     /// Intrinsics of the images as the network sees them before they are resized, undistorted: what belongs into the
@@ -211,15 +237,23 @@ impl RecordedWindows {
         Augmentation::draw(&self.options.augment, k, &mut generator(seed, Purpose::Augment, index))
     }
 
-    fn posed(&self, chosen: &[usize], augmentation: &Augmentation) -> Vec<Pose> {
-        let pose = |(i, frame): (usize, &usize)| {
-            let world_from_camera = self.frames[*frame].world_from_camera;
-            match &augmentation.rotations {
-                Some(rotations) => world_from_camera * rotations[i],
-                None => world_from_camera,
-            }
+    /// What is done to the cameras of window `index`.
+    fn changes(&self, index: u64, chosen: &[usize], augmentation: &Augmentation) -> Vec<Change> {
+        let is_plain = *augmentation == Augmentation::none();
+        let views = self.views.as_ref().filter(|_| !is_plain);
+        let shifts = views.and_then(|views| views.shifts(chosen, self.options.window.seed, index));
+        let change = |i| Change {
+            shift: shifts.as_ref().map(|shifts| shifts[i]),
+            rotation: augmentation.rotations.as_ref().map(|rotations| rotations[i]),
         };
-        chosen.iter().enumerate().map(pose).collect()
+        (0..chosen.len()).map(change).collect()
+    }
+
+    fn posed(&self, chosen: &[usize], changes: &[Change]) -> Vec<Pose> {
+        let pose = |(frame, change): (&usize, &Change)| {
+            self.frames[*frame].world_from_camera * change.camera_from_changed()
+        };
+        chosen.iter().zip(changes).map(pose).collect()
     }
 
     fn name_of(&self, chosen: &[usize]) -> String {
@@ -230,17 +264,23 @@ impl RecordedWindows {
         format!("{}/{sequence} frames {}", self.name, numbers.join(" "))
     }
 
-    fn stored(&self, frame: &TrainingFrame, reader: &mut Reader) -> Result<Arc<Stored>, DataError> {
+    fn stored(&self, frame: &TrainingFrame, reader: &mut Reader) -> Result<Stored, DataError> {
         if let Some(stored) = frame.cache.get() {
             return Ok(stored.clone());
         }
         let read = self.read(frame, reader);
-        let stored = Arc::new(read.map_err(|source| DataError::Frame { path: frame.path.clone(), source })?);
+        let stored = read.map_err(|source| DataError::Frame { path: frame.path.clone(), source })?;
         if frame.is_cached {
             // Another thread may have been faster; both have the same.
             let _ = frame.cache.set(stored.clone());
         }
         Ok(stored)
+    }
+
+    /// The whole image, where views are drawn.
+    fn whole(&self, frame: &TrainingFrame, reader: &mut Reader) -> Result<Arc<Rgb>, DataError> {
+        let Some(whole) = self.stored(frame, reader)?.whole else { unreachable!("`needs` says otherwise") };
+        Ok(whole)
     }
 
     fn read(&self, frame: &TrainingFrame, reader: &mut Reader) -> Result<Stored, FrameError> {
@@ -249,13 +289,13 @@ impl RecordedWindows {
         let size_px = self.options.work_px(size_of(&pixels), &self.input);
         let frame =
             Frame { pixels, capture_time: CaptureTime::recorded(0), sequence: 0, camera: frame.camera };
-        let exact = needs_exact.then(|| reader.exact.run(&frame)).transpose()?;
+        let exact = needs_exact.then(|| reader.exact.run(&frame)).transpose()?.map(Arc::new);
         let mut whole = None;
         if needs_whole {
             let fitting = reader.whole.take().filter(|resize| resize.size_px() == size_px);
             let mut resize =
                 fitting.map_or_else(|| Resize::whole(&self.input, size_px), Ok).map_err(intrinsics)?;
-            whole = Some(resize.run(&frame)?);
+            whole = Some(Arc::new(resize.run(&frame)?));
             reader.whole = Some(resize);
         }
         Ok(Stored { exact, whole })
@@ -263,25 +303,36 @@ impl RecordedWindows {
 
     fn draw(
         &self,
-        (i, frame): (usize, &TrainingFrame),
-        augmentation: &Augmentation,
+        (i, number): (usize, usize),
+        (change, augmentation): (&Change, &Augmentation),
         planes: &mut [f32],
         reader: &mut Reader,
     ) -> Result<(), DataError> {
+        let frame = &self.frames[number];
         let stored = self.stored(frame, reader)?;
         let size_px = self.input.size_px;
-        let canvas = Canvas { planes, width: size_px.0 as usize, height: size_px.1 as usize };
+        let size = (size_px.0 as usize, size_px.1 as usize);
+        let canvas = Canvas { planes, width: size.0, height: size.1 };
         let look = augmentation.look.as_ref();
+        let (policy, border) = (self.input.preprocessing.resize, self.options.augment.border);
+        let views = self.views.as_ref().filter(|_| change.shift.is_some());
         let warp;
-        let source = match (&augmentation.rotations, &frame.camera, &stored.whole, &stored.exact) {
-            (Some(rotations), Some(camera), Some(whole), _) => {
+        let source = match (views, &change.rotation, &frame.camera, &stored.whole, &stored.exact) {
+            (Some(views), _, Some(camera), Some(whole), _) => {
+                let image = |other: usize| self.whole(&self.frames[other], reader);
+                let surface = views.surface(number, image)?;
+                let input = Lens::of_input(camera, policy, size_px);
+                let seen = (&**whole, surface, views.lens(number));
+                let pose = change.camera_from_changed();
+                let mean = self.developer.mean();
+                Source::Exact(reader.artist.draw(seen, &pose, (input, size), (border, mean)))
+            }
+            (_, Some(rotation), Some(camera), Some(whole), _) => {
                 let stored_px = (whole.width as u32, whole.height as u32);
-                let policy = self.input.preprocessing.resize;
-                let border = self.options.augment.border;
-                warp = Warp::new(camera, &rotations[i], policy, size_px, stored_px, border);
+                warp = Warp::new(camera, rotation, policy, size_px, stored_px, border);
                 Source::Warped(whole, &warp)
             }
-            (_, _, _, Some(exact)) => Source::Exact(exact),
+            (.., Some(exact)) => Source::Exact(exact),
             _ => unreachable!("`needs` and the check of intrinsics say otherwise"),
         };
         self.developer.run(source, look, i, canvas, &mut reader.scratch);
@@ -297,6 +348,7 @@ impl Windows for RecordedWindows {
     fn window(&self, index: u64) -> Result<Window, DataError> {
         let chosen = self.choose(index);
         let augmentation = self.augmentation(index);
+        let changes = self.changes(index, &chosen, &augmentation);
         let (width, height) = self.input.size_px;
         let frame_length = 3 * width as usize * height as usize;
         let mut images = vec![0.0; chosen.len() * frame_length];
@@ -304,20 +356,21 @@ impl Windows for RecordedWindows {
         let new_reader = || {
             let exact = Resize::new(&self.input)
                 .map_err(|error| DataError::Frame { path: first.path.clone(), source: intrinsics(error) })?;
-            Ok(Reader { exact, whole: None, scratch: Scratch::default() })
+            Ok(Reader { exact, whole: None, scratch: Scratch::default(), artist: Artist::default() })
         };
         self.readers.with(new_reader, |reader| {
             for (i, planes) in images.chunks_exact_mut(frame_length).enumerate() {
-                self.draw((i, &self.frames[chosen[i]]), &augmentation, planes, reader)?;
+                self.draw((i, chosen[i]), (&changes[i], &augmentation), planes, reader)?;
             }
             Ok(())
         })?;
-        let world_from_camera = self.posed(&chosen, &augmentation);
+        let world_from_camera = self.posed(&chosen, &changes);
         Ok(Window { images, world_from_camera, name: self.name_of(&chosen) })
     }
 
     fn poses(&self, index: u64) -> Result<Vec<Pose>, DataError> {
-        Ok(self.posed(&self.choose(index), &self.augmentation(index)))
+        let chosen = self.choose(index);
+        Ok(self.posed(&chosen, &self.changes(index, &chosen, &self.augmentation(index))))
     }
 
     fn size_px(&self) -> Option<(u32, u32)> {
@@ -340,9 +393,12 @@ impl Windows for RecordedWindows {
 }
 
 impl RecordedOptions {
-    fn check(&self) -> Result<(), DataError> {
+    fn check(&self, input: &InputSpec) -> Result<(), DataError> {
         self.window.check()?;
         self.augment.check()?;
+        if let Some(views) = &self.views {
+            views.check(input.size_px)?;
+        }
         if !(0.5..=4.0).contains(&self.work_scale) {
             return Err(DataError::option("work_scale", self.work_scale, "0.5 to 4"));
         }
@@ -352,7 +408,7 @@ impl RecordedOptions {
     /// Whether images as at run time and whole images are needed.
     fn needs(&self) -> (bool, bool) {
         let rotates = self.augment.rotates();
-        (!rotates || self.augment.plain_share > 0.0, rotates)
+        (!rotates || self.augment.plain_share > 0.0, rotates || self.views.is_some())
     }
 
     /// Size at which the whole of an image of `size_px` is kept.
@@ -377,63 +433,6 @@ impl RecordedOptions {
         }
         self.cache_mib * (1 << 20) / each.max(1)
     }
-}
-
-impl TrainingFrame {
-    fn new(path: &Path, place: (usize, u64), world_from_camera: Pose, camera: Option<Camera>) -> Self {
-        let (path, is_cached, cache) = (path.to_path_buf(), false, OnceLock::new());
-        Self { path, place, world_from_camera, camera, is_cached, cache }
-    }
-}
-
-/// Runs of neighbours.
-fn runs(frames: &[TrainingFrame]) -> Vec<Range<usize>> {
-    let neighbours = |a: &TrainingFrame, b: &TrainingFrame| (a.place.0, a.place.1 + 1) == b.place;
-    let mut start = 0;
-    let ranges = frames.chunk_by(neighbours).map(|run| {
-        let range = start..start + run.len();
-        start = range.end;
-        range
-    });
-    ranges.collect()
-}
-
-/// The camera with another focal length; its centre and distortion stay, or it looks straight ahead.
-fn with_focal(
-    camera: Option<Camera>,
-    image_px: Option<(u32, u32)>,
-    focal_px: Option<f64>,
-) -> Result<Option<Camera>, DataError> {
-    let Some(focal_px) = focal_px else { return Ok(camera) };
-    let Some(size_px) = camera.map(|camera| camera.size_px()).or(image_px) else { return Ok(None) };
-    let middle = (f64::from(size_px.0 - 1) / 2.0, f64::from(size_px.1 - 1) / 2.0);
-    let (centre_px, distortion) =
-        camera.map_or((middle, Distortion::None), |camera| (camera.centre_px(), camera.distortion()));
-    Camera::new(size_px, (focal_px, focal_px), centre_px, distortion)
-        .map(Some)
-        .map_err(|_| DataError::option("focal_px", focal_px, "a positive number of pixels"))
-}
-
-fn fingerprint(
-    root: &Path,
-    frames: &[TrainingFrame],
-    input: &InputSpec,
-    options: &RecordedOptions,
-) -> Result<String, DataError> {
-    let mut hash = Fingerprint::default();
-    hash.text("recorded windows 1");
-    // The size of the cache changes no window.
-    hash.options(&RecordedOptions { cache_mib: 0, ..options.clone() });
-    hash.input(input);
-    for frame in frames {
-        let path = frame.path.strip_prefix(root).unwrap_or(&frame.path);
-        hash.text(&path.to_string_lossy());
-        hash.numbers(&[frame.place.0 as f64, frame.place.1 as f64]);
-        hash.pose(&frame.world_from_camera);
-        hash.camera(frame.camera.as_ref());
-        hash.file(&frame.path)?;
-    }
-    Ok(hash.finish())
 }
 
 fn size_of(pixels: &Pixels) -> (u32, u32) {

@@ -1,0 +1,190 @@
+//! Views of a recorded place from where the camera never was.
+//!
+//! A recording of a minute is a thread through the room: a network that only ever stood on it says little from half a metre
+//! beside it, and a robot drives there. The recording knows more than it shows: frames whose poses are known give the depth of
+//! what they see, and with it every frame can be drawn from a camera moved aside, its pose moved with it. Large motions
+//! with their parallax, which a recording has few of, come for nothing.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | [`neighbours`] | which frames see a frame's scene from beside it |
+//! | [`sweep`] | plane sweep (Collins 1996): how alike they are at each depth |
+//! | [`smooth`] | semi-global matching (Hirschmüller 2008): the depth of each pixel |
+//! | [`draw`] | the frame from a camera elsewhere |
+//!
+//! Depth is rough (48 planes, an image of some hundred pixels), and what no frame saw is filled from the
+//! background: good enough to learn from, not to measure in. As all training data it is a pure function of the recording, in IEEE
+//! arithmetic.
+
+mod draw;
+mod neighbours;
+mod smooth;
+mod sweep;
+
+use std::sync::{Arc, OnceLock};
+
+use grnet_geometry::Pose;
+use nalgebra::Vector3;
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+
+use super::DataError;
+use super::image::{Lens, Rgb};
+use super::window::{Purpose, check_share, generator};
+
+pub(crate) use draw::Artist;
+
+/// How windows of a recording are seen from elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ViewOptions {
+    /// Share of the windows that are not plain.
+    pub share: f64,
+    /// Largest shift of the camera along each of its axes in metres, the same for all frames of a window.
+    pub shift_m: f64,
+    /// Largest further shift of each frame of its own in metres: motions that were never recorded.
+    pub frame_shift_m: f64,
+    /// Nearest and farthest depth that is looked for, in metres along the optical axis.
+    pub depth_m: (f64, f64),
+}
+
+impl Default for ViewOptions {
+    fn default() -> Self {
+        Self { share: 0.7, shift_m: 0.3, frame_shift_m: 0.03, depth_m: (0.5, 8.0) }
+    }
+}
+
+impl ViewOptions {
+    pub(crate) fn check(&self, input_px: (u32, u32)) -> Result<(), DataError> {
+        const LEAST_PX: u32 = 32;
+        if input_px.0.min(input_px.1) < LEAST_PX {
+            let found = format!("a network that sees {}x{} pixels", input_px.0, input_px.1);
+            return Err(DataError::option(
+                "views",
+                found,
+                "at least 32 pixels along each side to find depth in",
+            ));
+        }
+        check_share("views.share", self.share)?;
+        for (option, value) in [("views.shift_m", self.shift_m), ("views.frame_shift_m", self.frame_shift_m)]
+        {
+            if !(0.0..=100.0).contains(&value) {
+                return Err(DataError::option(option, value, "0 to 100 metres"));
+            }
+        }
+        let (near, far) = self.depth_m;
+        if !(near > 0.0 && near < far && far.is_finite()) {
+            let found = format!("[{near}, {far}]");
+            return Err(DataError::option("views.depth_m", found, "two depths in metres, the nearer first"));
+        }
+        Ok(())
+    }
+}
+
+/// Inverse depth of each pixel of a stored image, 1/m, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Surface {
+    pub width: usize,
+    pub height: usize,
+    pub inverse_depth: Vec<f32>,
+}
+
+/// A camera and where it stood.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Station {
+    pub world_from_camera: Pose,
+    /// Of the stored image.
+    pub lens: Lens,
+}
+
+/// The depths of a recording's frames, each found when it is first needed.
+#[derive(Debug, Clone)]
+pub(crate) struct Views {
+    options: ViewOptions,
+    stations: Vec<Station>,
+    known: Arc<Vec<Known>>,
+}
+
+/// What has been found of a frame.
+#[derive(Debug, Default)]
+struct Known {
+    neighbours: OnceLock<Vec<usize>>,
+    surface: OnceLock<Surface>,
+}
+
+impl Views {
+    pub fn new(options: ViewOptions, stations: Vec<Station>) -> Self {
+        let known = Arc::new(stations.iter().map(|_| Known::default()).collect());
+        Self { options, stations, known }
+    }
+
+    /// Uses the depths of `other`, which has the same images, where it sees them from the same places.
+    pub fn share(&mut self, other: &Self) {
+        if self.stations == other.stations && self.options.depth_m == other.options.depth_m {
+            self.known = other.known.clone();
+        }
+    }
+
+    /// Where the cameras of window `index` are moved to, in their own axes; `None`: they stay.
+    pub fn shifts(&self, chosen: &[usize], seed: u64, index: u64) -> Option<Vec<Vector3<f64>>> {
+        let mut rng = generator(seed, Purpose::View, index);
+        if rng.random::<f64>() >= self.options.share {
+            return None;
+        }
+        let mut shift = |most: f64| Vector3::from_fn(|_, _| most * rng.random_range(-1.0..=1.0));
+        let first = &self.stations[chosen[0]].world_from_camera;
+        let common = first.rotation * shift(self.options.shift_m);
+        let shifts = chosen
+            .iter()
+            .map(|frame| {
+                let camera_from_world = self.stations[*frame].world_from_camera.rotation.inverse();
+                camera_from_world * common + shift(self.options.frame_shift_m)
+            })
+            .collect();
+        chosen.iter().all(|frame| self.has_depth(*frame)).then_some(shifts)
+    }
+
+    /// Of the stored image of a frame.
+    pub fn lens(&self, frame: usize) -> Lens {
+        self.stations[frame].lens
+    }
+
+    /// Whether enough frames see the scene of this one from beside it.
+    fn has_depth(&self, frame: usize) -> bool {
+        self.neighbours(frame).len() >= 2
+    }
+
+    fn neighbours(&self, frame: usize) -> &[usize] {
+        let find = || neighbours::of(frame, &self.stations, self.options.depth_m.0);
+        self.known[frame].neighbours.get_or_init(find)
+    }
+
+    /// The depth of a frame; `image` gives the stored image of a frame.
+    pub fn surface<E>(
+        &self,
+        frame: usize,
+        mut image: impl FnMut(usize) -> Result<Arc<Rgb>, E>,
+    ) -> Result<&Surface, E> {
+        let known = &self.known[frame].surface;
+        if let Some(surface) = known.get() {
+            return Ok(surface);
+        }
+        let mut seen = |frame: usize| Ok((self.stations[frame], image(frame)?));
+        let reference = seen(frame)?;
+        let others =
+            self.neighbours(frame).iter().map(|other| seen(*other)).collect::<Result<Vec<_>, E>>()?;
+        Ok(known.get_or_init(|| find(&reference, &others, self.options.depth_m)))
+    }
+}
+
+fn find(
+    reference: &(Station, Arc<Rgb>),
+    others: &[(Station, Arc<Rgb>)],
+    (near_m, far_m): (f64, f64),
+) -> Surface {
+    let planes = sweep::Planes::between(near_m, far_m);
+    let guide = sweep::grey(&reference.1);
+    let cost = sweep::costs(reference, others, &planes);
+    let (width, height) = (reference.1.width, reference.1.height);
+    Surface { width, height, inverse_depth: smooth::inverse_depth(&cost, &guide, (width, height), &planes) }
+}
