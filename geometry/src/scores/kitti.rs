@@ -22,6 +22,9 @@ use crate::trajectory::{KittiPose, KittiPoses};
 /// Lengths of the segments, in metres.
 pub const LENGTHS_M: [u32; 8] = [100, 200, 300, 400, 500, 600, 700, 800];
 
+/// A hundredth of them, in metres: the same figures for a room, whose paths never reach a hundred metres.
+pub const ROOM_LENGTHS_M: [u32; 8] = [1, 2, 3, 4, 5, 6, 7, 8];
+
 /// Segments start at every so many frames.
 const STEP_FRAMES: usize = 10;
 
@@ -140,6 +143,19 @@ pub fn segments(
     estimate: &KittiPoses,
     arithmetic: Arithmetic,
 ) -> Result<Vec<Segment>, ScoreError> {
+    segments_of(&LENGTHS_M, ground_truth, estimate, arithmetic)
+}
+
+/// The errors of all segments of these lengths, in metres and ascending, ordered by first frame and length.
+///
+/// # Errors
+/// As [`score`].
+pub fn segments_of(
+    lengths_m: &[u32],
+    ground_truth: &KittiPoses,
+    estimate: &KittiPoses,
+    arithmetic: Arithmetic,
+) -> Result<Vec<Segment>, ScoreError> {
     let truth = ground_truth.poses();
     let (first, last) = match (truth.first(), truth.last()) {
         (Some(a), Some(b)) => (a.frame, b.frame),
@@ -160,7 +176,7 @@ pub fn segments(
     for first in (0..truth.len()).step_by(STEP_FRAMES) {
         let Some(result_first) = result[first].and_then(Affine::inverse_of) else { continue };
         let Some(truth_first) = Affine::inverse_of(&truth[first]) else { continue };
-        for length_m in LENGTHS_M {
+        for &length_m in lengths_m {
             let Some(last) = distances.first_beyond(first, f64::from(length_m)) else { break };
             let Some(result_last) = result[last] else { continue };
             let truth_delta = truth_first.times(&Affine::of(&truth[last]));

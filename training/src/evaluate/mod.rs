@@ -28,8 +28,8 @@ pub use methods::{BaselineName, NamedModel, add_baselines, add_model};
 pub use play::{Played, play};
 pub use score::{FrameError, frame_errors, score, sorted_nees};
 pub use summary::{
-    Ate, Evaluation, KittiScores, ModelInfo, Motion, SCHEMA, Scores, SequenceScores, Summary, SystemInfo,
-    SystemScores,
+    Ate, Drift, Evaluation, KittiScores, ModelInfo, Motion, SCHEMA, Scores, SequenceScores, Summary,
+    SystemInfo, SystemScores,
 };
 pub use system::{Kind, Knowledge, System, slug};
 

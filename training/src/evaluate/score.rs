@@ -11,7 +11,9 @@ use grnet_geometry::statistics::{Statistics, median};
 use grnet_geometry::trajectory::KittiPoses;
 use grnet_geometry::{Covariance6, Pose, covariance, se3};
 
-use super::{Ate, Data, KittiScores, Motion, Scores, SequenceScores, System, SystemInfo, SystemScores};
+use super::{
+    Ate, Data, Drift, KittiScores, Motion, Scores, SequenceScores, System, SystemInfo, SystemScores,
+};
 
 /// Error of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,7 +90,8 @@ fn over(data: &Data, system: &System, gap: usize, range: &Range<usize>) -> Score
         },
         rpe_translation_m,
         rpe_rotation_deg,
-        kitti: segments(data, system, range),
+        kitti: drive(data, system, range),
+        drift: drift(data, system, range),
         motion: motion(data, system, gap, range),
         calibration: calibrate(system, &paired),
     }
@@ -150,8 +153,13 @@ fn relative(data: &Data, system: &System, range: &Range<usize>) -> Option<(f64, 
     translation.rmse().zip(rotation.rmse())
 }
 
-/// KITTI's segments within blocks whose every frame has a true pose.
-fn segments(data: &Data, system: &System, range: &Range<usize>) -> Option<KittiScores> {
+/// KITTI's segments of these lengths within blocks whose every frame has a true pose; `None` without any.
+fn segments(
+    lengths_m: &[u32],
+    data: &Data,
+    system: &System,
+    range: &Range<usize>,
+) -> Option<Vec<kitti::Segment>> {
     let mut all = Vec::new();
     for block in blocks(data, range) {
         let numbered = |pose: &dyn Fn(usize) -> Option<Pose>| {
@@ -161,21 +169,34 @@ fn segments(data: &Data, system: &System, range: &Range<usize>) -> Option<KittiS
         let truth = numbered(&|frame| data.task.test[frame].world_from_camera)?;
         let estimate = numbered(&|frame| system.pose(frame))?;
         if truth.len() == block.len() {
-            all.extend(kitti::segments(&truth, &estimate, kitti::Arithmetic::Double).ok()?);
+            all.extend(kitti::segments_of(lengths_m, &truth, &estimate, kitti::Arithmetic::Double).ok()?);
         }
     }
-    let mean = |segments: &[&kitti::Segment]| {
-        let n = segments.len() as f64;
-        let average = |value: fn(&kitti::Segment) -> f64| segments.iter().map(|s| value(s)).sum::<f64>() / n;
-        kitti::Mean {
-            segments: segments.len(),
-            t_rel_percent: 100.0 * average(|s| s.translation_per_m),
-            r_rel_deg_per_100m: 100.0 * average(|s| s.rotation_rad_per_m).to_degrees(),
-        }
-    };
-    if all.is_empty() {
-        return None;
+    (!all.is_empty()).then_some(all)
+}
+
+fn mean(segments: &[&kitti::Segment]) -> kitti::Mean {
+    let n = segments.len() as f64;
+    let average = |value: fn(&kitti::Segment) -> f64| segments.iter().map(|s| value(s)).sum::<f64>() / n;
+    kitti::Mean {
+        segments: segments.len(),
+        t_rel_percent: 100.0 * average(|s| s.translation_per_m),
+        r_rel_deg_per_100m: 100.0 * average(|s| s.rotation_rad_per_m).to_degrees(),
     }
+}
+
+fn drift(data: &Data, system: &System, range: &Range<usize>) -> Option<Drift> {
+    let all = segments(&kitti::ROOM_LENGTHS_M, data, system, range)?;
+    let mean = mean(&all.iter().collect::<Vec<_>>());
+    Some(Drift {
+        segments: mean.segments,
+        t_rel_percent: mean.t_rel_percent,
+        r_rel_deg_per_m: mean.r_rel_deg_per_100m / 100.0,
+    })
+}
+
+fn drive(data: &Data, system: &System, range: &Range<usize>) -> Option<KittiScores> {
+    let all = segments(&kitti::LENGTHS_M, data, system, range)?;
     let overall = mean(&all.iter().collect::<Vec<_>>());
     let per_length = kitti::LENGTHS_M.iter().filter_map(|&length_m| {
         let of_length: Vec<_> = all.iter().filter(|segment| segment.length_m == length_m).collect();
@@ -328,6 +349,13 @@ pub(crate) mod tests {
         // Segments end one frame past their length: 20 of 101 m for 100 m, 10 of 201 m for 200 m.
         close(scores.kitti.as_ref().map(|k| k.t_rel_percent), (20.0 * 10.1 + 10.0 * 10.05) / 30.0);
         close(scores.kitti.as_ref().map(|k| k.r_rel_deg_per_100m), 0.0);
+        // Here too: 2 m for 1 m, 3 m for 2 m, from each of 30 starts.
+        let drift = scores.drift.unwrap();
+        assert_eq!(drift.segments, 30 * 8);
+        let expected =
+            (1..=8).map(|length| 10.0 * f64::from(length + 1) / f64::from(length)).sum::<f64>() / 8.0;
+        close(Some(drift.t_rel_percent), expected);
+        close(Some(drift.r_rel_deg_per_m), 0.0);
         close(scores.rpe_translation_m, 0.1);
         close(scores.motion.map(|m| m.median_translation_m), 1.0);
         close(scores.median_translation_m, 15.0);

@@ -140,6 +140,8 @@ pub struct Scores {
     pub rpe_rotation_deg: Option<f64>,
     /// KITTI's segment errors, where blocks are long enough.
     pub kitti: Option<KittiScores>,
+    /// The same over a hundredth of the lengths.
+    pub drift: Option<Drift>,
     /// Error of the motion over the gap.
     pub motion: Option<Motion>,
     /// Whether the covariances mean what they say, where there are any.
@@ -170,6 +172,18 @@ pub struct KittiScores {
     pub r_rel_deg_per_100m: f64,
     /// By length.
     pub per_length: Vec<LengthRow>,
+}
+
+/// KITTI's segment errors at the scale of a room: mean over all segments of 1 to 8 m within blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drift {
+    /// Number of segments.
+    pub segments: usize,
+    /// Translation error, per cent.
+    pub t_rel_percent: f64,
+    /// Rotation error, degrees per metre.
+    pub r_rel_deg_per_m: f64,
 }
 
 /// Error of the motion between two frames of one block.

@@ -140,6 +140,8 @@ fn figures(gap: usize) -> Vec<Figure> {
         figure("RPE", "deg, 1 frame", |s| s.rpe_rotation_deg, |v| format!("{v:.3}"), false),
         figure("t_rel", "%", |s| s.kitti.as_ref().map(|k| k.t_rel_percent), degrees, false),
         figure("r_rel", "deg/100 m", |s| s.kitti.as_ref().map(|k| k.r_rel_deg_per_100m), degrees, false),
+        figure("drift", "%, 1 to 8 m", |s| s.drift.map(|d| d.t_rel_percent), degrees, false),
+        figure("drift", "deg/m, 1 to 8 m", |s| s.drift.map(|d| d.r_rel_deg_per_m), degrees, false),
         figure(
             "motion",
             &over_gap("m"),
