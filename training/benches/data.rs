@@ -89,7 +89,11 @@ fn depth(criterion: &mut Criterion) {
             RecordedWindows::new(folder.path(), &recordings, input(side), options).expect("windows")
         };
         group.bench_function(BenchmarkId::from_parameter(side), |bencher| {
-            bencher.iter_batched_ref(make, |windows| black_box(windows.window(0)), BatchSize::PerIteration);
+            bencher.iter_batched_ref(
+                make,
+                |windows| black_box(windows.window(0).expect("a window")),
+                BatchSize::PerIteration,
+            );
         });
     }
     group.finish();

@@ -49,8 +49,8 @@ impl Artist {
         for (pixel, inverse_depth) in surface.inverse_depth.iter().enumerate() {
             let (x, y) = ((pixel % surface.width) as f32, (pixel / surface.width) as f32);
             let (u, v, nearness) = new.at(x, y, *inverse_depth);
-            // Behind the camera, or so near that it fills the image.
-            if !(nearness > 0.0 && nearness < 10.0) || !(u > -1.0 && v > -1.0) {
+            // Not behind the camera, nor so near that it fills the image.
+            if !(nearness > 0.0 && nearness < 10.0 && u > -1.0 && v > -1.0) {
                 continue;
             }
             let (left, top) = (u.floor(), v.floor());

@@ -7,10 +7,10 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`neighbours`] | which frames see a frame's scene from beside it |
-//! | [`sweep`] | plane sweep (Collins 1996): how alike they are at each depth |
-//! | [`smooth`] | semi-global matching (Hirschmüller 2008): the depth of each pixel |
-//! | [`draw`] | the frame from a camera elsewhere |
+//! | `neighbours` | which frames see a frame's scene from beside it |
+//! | `sweep` | plane sweep (Collins 1996): how alike they are at each depth |
+//! | `smooth` | semi-global matching (Hirschmüller 2008): the depth of each pixel |
+//! | `draw` | the frame from a camera elsewhere |
 //!
 //! Depth is rough (48 planes, an image of some hundred pixels), and what no frame saw is filled from the
 //! background: good enough to learn from, not to measure in. As all training data it is a pure function of the recording, in IEEE

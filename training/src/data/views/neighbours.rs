@@ -68,7 +68,7 @@ mod tests {
     fn frames_beside_it_are_taken_and_no_others() {
         // Along x, a centimetre each; then one far ahead, one far aside, one turned away.
         let mut stations: Vec<Station> = (0..41).map(|i| station(f64::from(i) / 100.0, 0.0, 0.0)).collect();
-        stations.extend([station(0.2, 0.4, 0.0), station(0.9, 0.0, 0.0), station(0.3, 0.0, 0.6)]);
+        stations.extend([station(0.2, 0.4, 0.0), station(1.5, 0.0, 0.0), station(0.3, 0.0, 0.6)]);
         let found = of(20, &stations, 0.5);
         assert_eq!(found, [14, 26, 8, 32, 0, 40]);
         assert!(of(42, &stations, 0.5).is_empty(), "nobody is near the one far aside");
