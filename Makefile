@@ -75,6 +75,13 @@ bench-training: ## training steps beside PyTorch's, in turns (long; fetches PyTo
 	$(CARGO) build --release -p grnet-model --example training_step
 	@scripts/bench-training $${CARGO_TARGET_DIR:-target}/release/examples/training_step $${CARGO_TARGET_DIR:-target}/venv/bin/python
 
+.PHONY: relu-start
+relu-start: ## a ResNet-50 trained with ReLU as the start of the network, beside drawn weights (long; fetches PyTorch once)
+	@scripts/install-packages build
+	@scripts/python-venv torch==2.15.0 numpy==2.4.6 pillow==13.0.0 safetensors==0.8.0
+	$(CARGO) build --workspace --bins
+	@scripts/relu-start $${CARGO_TARGET_DIR:-target}/venv/bin/python
+
 .PHONY: test-cuda
 test-cuda: ## operators and networks on an NVIDIA GPU against the CPU and PyTorch (needs the CUDA tool kit)
 	@scripts/install-packages build
