@@ -70,7 +70,7 @@ fn a_view_is_what_the_camera_sees_at_the_moved_pose() {
     let told =
         format!("{same} at the pose, {before} before, {opposite} on the other side, of {count} frames");
     println!("{told}, frames moved apart by up to {apart:.3} m");
-    assert!(count >= 12 && same * 2.5 < before && same * 3.0 < opposite, "{told}");
+    assert!(count >= 12 && same * 5.0 < before && same * 6.0 < opposite, "{told}");
     assert!((0.01..0.07).contains(&apart), "frames moved apart by {apart} m");
 }
 

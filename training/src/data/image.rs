@@ -6,7 +6,6 @@ use grnet_frame::{Camera, Frame};
 use grnet_model::{Preprocessing, ResizePolicy};
 use grnet_pipeline::preprocess::{InputSpec, PreprocessError, Preprocessor};
 use grnet_pipeline::{IntrinsicsError, IntrinsicsOptions};
-
 use nalgebra::Matrix3;
 
 use super::{Border, DataError};
