@@ -1,5 +1,6 @@
 //! `grnet-train train` and `grnet-train scene` as processes, on a network small enough for a test.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -7,7 +8,7 @@ use std::time::{Duration, Instant};
 use grnet_capture::{FolderSource, Pace, dataset};
 use grnet_frame::{Frame, FrameSource as _, Received};
 use grnet_geometry::{Pose, quaternion, se3};
-use grnet_model::candle_core::{Device, Tensor};
+use grnet_model::candle_core::{self, Device, Tensor};
 use grnet_model::{Checkpoint, HeadTensors, Kind, LoadedModel};
 use grnet_pipeline::{Estimate, NoObserver, Pipeline, PipelineOptions};
 
@@ -184,6 +185,56 @@ fn saved_step(run: &Path) -> u64 {
         .take_while(char::is_ascii_digit)
         .collect();
     digits.parse().unwrap_or(0)
+}
+
+#[test]
+fn the_weights_of_terms_start_where_the_first_batch_is() {
+    // At its minimum over s a term `w (exp(-s) L + s)` is `w (1 + s)`. The rate is so small that nothing moves afterwards.
+    let folder = tempfile::tempdir().unwrap();
+    let (head, _) = RECIPE.split_once("[[stage]]").unwrap();
+    let stage = |name: &str, loss: &str| {
+        format!(
+            "[[stage]]\nname = \"{name}\"\ndata = \"room\"\ntrain = [\"cnn1\", \"rcnn1\", \"rcnn2\", \"fcfl\"]\n\
+             loss = {{ {loss} }}\nsteps = 1\nbatch = 4\nlearning_rate = 1e-12\nfreeze_batch_norm = true\n"
+        )
+    };
+    let first = stage("first", "relative = 1.5");
+    let second = stage("second", "relative = 1.0, global = 1.0, fused = 2.0");
+    let run = |name: &str, text: String| {
+        let out = folder.path().join(name);
+        assert_ok(&train(&write(folder.path(), &format!("{name}.toml"), &text), &out, &[]));
+        let file = candle_core::safetensors::load(out.join("state.safetensors"), &Device::Cpu).unwrap();
+        let weights: BTreeMap<String, f64> = file
+            .into_iter()
+            .filter(|(name, _)| name.starts_with("loss."))
+            .map(|(name, s)| (name, f64::from(s.to_scalar::<f32>().unwrap())))
+            .collect();
+        let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
+        let losses: Vec<f64> = log
+            .lines()
+            .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["loss"].as_f64())
+            .collect();
+        (weights, losses)
+    };
+    let of = |weights: &BTreeMap<String, f64>, head: &str| -> Vec<f64> {
+        weights.iter().filter(|(name, _)| name.contains(head)).map(|(_, s)| *s).collect()
+    };
+    let (weights, losses) = run("one", format!("{head}{first}"));
+    let relative = of(&weights, ".relative.");
+    assert_eq!((weights.len(), relative.len()), (2, 2));
+    let expected: f64 = relative.iter().map(|s| 1.5 * (1.0 + s)).sum();
+    assert!((losses[0] - expected).abs() < 1e-3, "{losses:?}, {expected}");
+
+    let (weights, losses) = run("all", format!("{head}{second}"));
+    let of_head =
+        |name: &str, weight: f64| of(&weights, name).iter().map(|s| weight * (1.0 + s)).sum::<f64>();
+    let expected = of_head(".relative.", 1.0) + of_head(".global.", 1.0) + of_head(".fused.", 2.0);
+    assert!((losses[0] - expected).abs() < 1e-3, "{losses:?}, {expected}");
+
+    // A second stage weighs two heads for the first time and goes on with the weights of the third.
+    let (weights, _) = run("both", format!("{head}{first}{second}"));
+    let kept = of(&weights, ".relative.");
+    assert!(kept.iter().zip(&relative).all(|(a, b)| (a - b).abs() < 1e-6), "{kept:?}, {relative:?}");
 }
 
 #[test]

@@ -21,7 +21,8 @@ pub struct Homoscedastic {
 
 impl Homoscedastic {
     /// Weights for the given heads with `s` the logarithm of the mean squared deviation of the targets: every term
-    /// starts near 1. Started at 0 they starve translation, whose squares are small where a scene is.
+    /// starts near 1, as long as nothing is learnt. Started at 0 they starve translation, whose squares are small where a
+    /// scene is. [`Homoscedastic::start_at`] puts them where a batch of a network that has learnt something needs them.
     ///
     /// # Errors
     /// When a statistic is not finite or the variables cannot be made.
@@ -48,6 +49,29 @@ impl Homoscedastic {
             }
         }
         Ok(Self { weights })
+    }
+
+    /// Puts the weights of a head where their minimum for a batch is, `s = ln L`: a network that is trained on has small
+    /// errors, which weights from the targets' deviations would take a thousand steps to follow.
+    ///
+    /// `gradient` gives the derivative by each variable of the loss in which the head counts `weight` times. With
+    /// `d/ds w (exp(-s) L + s) = w (1 - exp(-s) L)` it tells `L`.
+    ///
+    /// # Errors
+    /// When a variable cannot be read or set.
+    pub fn start_at(
+        &self,
+        head: Head,
+        weight: f64,
+        gradient: impl Fn(&Var) -> Result<Option<f64>>,
+    ) -> Result<()> {
+        for (_, _, _, var) in self.weights.iter().filter(|(of, ..)| *of == head) {
+            let Some(gradient) = gradient(var)? else { continue };
+            let s = f64::from(var.to_scalar::<f32>()?);
+            let loss = s.exp() * (1.0 - gradient / weight);
+            var.set(&Tensor::new(loss.max(MIN_VARIANCE).ln() as f32, var.device())?)?;
+        }
+        Ok(())
     }
 
     /// The variables by name, such as `loss.fused.absolute.translation`.
@@ -137,6 +161,28 @@ mod tests {
         let of = |var: &Var| gradients.get(var).unwrap().to_scalar::<f32>().unwrap();
         assert!(of(&weights.vars()[0].1).abs() < 1e-6);
         assert!((of(&loss) - 4.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_start_from_a_batch_is_at_its_minimum() {
+        let weights = weights(&[Head::Global, Head::Fused]);
+        let loss = Tensor::new(0.0016_f32, &Device::Cpu).unwrap();
+        let weighed =
+            weights.weigh(Head::Fused, Term::Absolute, Component::Rotation, &loss).unwrap().affine(1.5, 0.0);
+        let gradients = weighed.unwrap().backward().unwrap();
+        let before: Vec<(String, f64)> = weights.deviations().unwrap();
+        let gradient =
+            |var: &Var| gradients.get(var).map(|g| g.to_scalar::<f32>().map(f64::from)).transpose();
+        weights.start_at(Head::Fused, 1.5, gradient).unwrap();
+        for ((name, after), (_, before)) in weights.deviations().unwrap().into_iter().zip(before) {
+            let expected = if name == "loss.fused.absolute.rotation" { 0.04 } else { before };
+            assert!((after - expected).abs() < 1e-5, "{name}: {after}");
+        }
+        // A perfect batch stops at the smallest variance and not at the logarithm of 0.
+        weights.start_at(Head::Fused, 1.5, |_| Ok(Some(1.5))).unwrap();
+        assert!(
+            weights.deviations().unwrap()[4..].iter().all(|(_, deviation)| (deviation - 1e-3).abs() < 1e-6)
+        );
     }
 
     #[test]

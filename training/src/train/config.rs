@@ -188,13 +188,8 @@ impl Recipe {
     /// The heads that any stage trains.
     pub fn heads(&self) -> Vec<Head> {
         let weighed =
-            |weight: fn(&LossWeights) -> f64| self.stages.iter().any(|stage| weight(&stage.loss) > 0.0);
-        let heads = [
-            (Head::Relative, weighed(|loss| loss.relative)),
-            (Head::Global, weighed(|loss| loss.global)),
-            (Head::Fused, weighed(|loss| loss.fused)),
-        ];
-        heads.into_iter().filter(|(_, weighed)| *weighed).map(|(head, _)| head).collect()
+            |head: &Head| self.stages.iter().any(|stage| stage.loss.heads().any(|(of, _)| of == *head));
+        [Head::Relative, Head::Global, Head::Fused].into_iter().filter(weighed).collect()
     }
 
     fn check(&self) -> Result<(), (String, String)> {
@@ -225,6 +220,15 @@ impl Recipe {
             return bad("init", "give either `checkpoint` or `resnet50`".into());
         }
         Ok(())
+    }
+}
+
+impl LossWeights {
+    /// The heads that count, and how much.
+    pub fn heads(&self) -> impl Iterator<Item = (Head, f64)> + use<> {
+        [(Head::Relative, self.relative), (Head::Global, self.global), (Head::Fused, self.fused)]
+            .into_iter()
+            .filter(|(_, weight)| *weight > 0.0)
     }
 }
 

@@ -1,6 +1,7 @@
 //! What a stage minimises: the losses of the heads that it weighs, as one number.
 
-use candle_core::Tensor;
+use candle_core::backprop::GradStore;
+use candle_core::{Tensor, Var};
 use grnet_model::{Branches, NetworkConfig, WindowOutput};
 
 use super::TrainError;
@@ -36,6 +37,20 @@ impl Objective<'_> {
             global: config.branches.global && (fusion || self.weights.global > 0.0),
             fusion,
         }
+    }
+
+    /// Starts the learned weights of the given heads from the gradients of a first batch; whether there are any to start.
+    ///
+    /// # Errors
+    /// When a weight cannot be read or set.
+    pub fn start_at(&self, heads: &[Head], grads: Option<&GradStore>) -> Result<bool, TrainError> {
+        let (Some(homoscedastic), Some(grads)) = (self.homoscedastic, grads) else { return Ok(false) };
+        for (head, weight) in self.weights.heads().filter(|(head, _)| heads.contains(head)) {
+            let gradient =
+                |var: &Var| grads.get(var).map(|g| g.to_scalar::<f32>().map(f64::from)).transpose();
+            homoscedastic.start_at(head, weight, gradient)?;
+        }
+        Ok(!heads.is_empty())
     }
 
     /// The loss of a batch.

@@ -19,7 +19,7 @@ use super::replicas::{Gradient, Replica, gradient};
 use super::sources::Sources;
 use super::state::{self, Position};
 use super::validate::Validator;
-use crate::loss::{Homoscedastic, Loss};
+use crate::loss::{Head, Homoscedastic, Loss};
 use crate::run::{LogEntry, LogKind, Progress, RunFolder, State, Update};
 
 /// Steps between two lines of the log.
@@ -137,6 +137,7 @@ impl<'a> Trainer<'a> {
         let mut progress = Progress::new(&stage.name, stage.steps, self.at.stage_step);
         let mut lines = Lines::default();
         let mut saved_at = Instant::now();
+        let new_heads = self.new_heads(self.at.stage);
 
         while self.at.stage_step < stage.steps {
             if stop.load(Ordering::Relaxed) {
@@ -153,13 +154,13 @@ impl<'a> Trainer<'a> {
                 }
             };
             let objective = self.objective(stage);
-            let Gradient { loss, parts, grads, statistics } = gradient(
-                &replicas,
-                &objective,
-                &input.to_device(&self.device)?,
-                &world_from_camera,
-                &trained,
-            )?;
+            let input = input.to_device(&self.device)?;
+            let batch = || gradient(&replicas, &objective, &input, &world_from_camera, &trained);
+            let mut step = batch()?;
+            if self.at.stage_step == 0 && objective.start_at(&new_heads, step.grads.as_ref())? {
+                step = batch()?;
+            }
+            let Gradient { loss, parts, grads, statistics } = step;
             let lr = stage.schedule().at(self.at.stage_step);
             let norm = match &grads {
                 Some(grads) => adam.step(grads, lr, stage.max_norm())?.grad_norm,
@@ -205,6 +206,13 @@ impl<'a> Trainer<'a> {
         self.save(None)?;
         progress.finish();
         Ok(Outcome::Finished)
+    }
+
+    /// The heads that the stage is the first to weigh.
+    fn new_heads(&self, stage: usize) -> Vec<Head> {
+        let heads = |stage: &Stage| stage.loss.heads().map(|(head, _)| head);
+        let before: Vec<Head> = self.recipe.stages[..stage].iter().flat_map(heads).collect();
+        heads(&self.recipe.stages[stage]).filter(|head| !before.contains(head)).collect()
     }
 
     fn objective(&self, stage: &Stage) -> Objective<'_> {
