@@ -74,6 +74,37 @@ fn a_view_is_what_the_camera_sees_at_the_moved_pose() {
     assert!((0.01..0.07).contains(&apart), "frames moved apart by {apart} m");
 }
 
+/// A turned frame ends at its edge; a view goes on with what other frames saw there.
+#[test]
+fn what_lies_beside_a_frame_is_drawn_from_others() {
+    let (folder, scene) = room(80, 10.0);
+    let turned = AugmentOptions { rotation_deg: 15.0, ..AugmentOptions::default() };
+    let views = ViewOptions { share: 1.0, shift_m: 0.0, frame_shift_m: 0.0, ..ViewOptions::default() };
+    let options = RecordedOptions { augment: turned, ..options(views) };
+    let by_others = windows(&folder, options.clone());
+    let alone = windows(&folder, RecordedOptions { views: None, ..options });
+    let input = input(96, 96, ResizePolicy::Stretch);
+    let (mut with, mut without) = (0.0, 0.0);
+    for index in 0..16 {
+        let (view, cut) = (by_others.window(index).unwrap(), alone.window(index).unwrap());
+        assert_eq!(view.world_from_camera, cut.world_from_camera);
+        for (i, pose) in view.world_from_camera.iter().enumerate() {
+            let truth = seen(&scene, pose, &input);
+            let pixels = i * truth.len()..(i + 1) * truth.len();
+            for ((view, cut), truth) in
+                view.images[pixels.clone()].iter().zip(&cut.images[pixels]).zip(&truth)
+            {
+                if (cut - truth).abs() > 0.5 {
+                    with += (view - truth).abs();
+                    without += (cut - truth).abs();
+                }
+            }
+        }
+    }
+    println!("{with} by others, {without} alone");
+    assert!(with * 1.8 < without, "{with} by others, {without} alone");
+}
+
 #[test]
 fn views_are_the_same_whatever_the_threads_the_cache_and_who_found_the_depth() {
     let (folder, _) = room(40, 10.0);

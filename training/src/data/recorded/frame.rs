@@ -76,6 +76,9 @@ pub(super) fn fingerprint(
 ) -> Result<String, DataError> {
     let mut hash = Fingerprint::default();
     hash.text("recorded windows 1");
+    if options.views.is_some() {
+        hash.text("drawn from several frames");
+    }
     // The size of the cache changes no window.
     hash.options(&RecordedOptions { cache_mib: 0, ..options.clone() });
     hash.input(input);

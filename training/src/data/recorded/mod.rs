@@ -93,6 +93,10 @@ struct Change {
 }
 
 impl Change {
+    fn is_any(&self) -> bool {
+        self.shift.is_some() || self.rotation.is_some()
+    }
+
     fn camera_from_changed(&self) -> Pose {
         let shift = Translation3::from(self.shift.unwrap_or_default());
         Pose::from_parts(shift, self.rotation.unwrap_or_default())
@@ -315,17 +319,15 @@ impl RecordedWindows {
         let canvas = Canvas { planes, width: size.0, height: size.1 };
         let look = augmentation.look.as_ref();
         let (policy, border) = (self.input.preprocessing.resize, self.options.augment.border);
-        let views = self.views.as_ref().filter(|_| change.shift.is_some());
+        let views = self.views.as_ref().filter(|views| change.is_any() && views.has_depth(number));
+        let mut artist = std::mem::take(&mut reader.artist);
         let warp;
         let source = match (views, &change.rotation, &frame.camera, &stored.whole, &stored.exact) {
-            (Some(views), _, Some(camera), Some(whole), _) => {
+            (Some(views), _, Some(camera), ..) => {
                 let image = |other: usize| self.whole(&self.frames[other], reader);
-                let surface = views.surface(number, image)?;
                 let input = Lens::of_input(camera, policy, size_px);
-                let seen = (&**whole, surface, views.lens(number));
-                let pose = change.camera_from_changed();
-                let mean = self.developer.mean();
-                Source::Exact(reader.artist.draw(seen, &pose, (input, size), (border, mean)))
+                let (pose, look) = (change.camera_from_changed(), (border, self.developer.mean()));
+                Source::Exact(views.draw(&mut artist, (number, &pose), (input, size), look, image)?)
             }
             (_, Some(rotation), Some(camera), Some(whole), _) => {
                 let stored_px = (whole.width as u32, whole.height as u32);
@@ -336,6 +338,7 @@ impl RecordedWindows {
             _ => unreachable!("`needs` and the check of intrinsics say otherwise"),
         };
         self.developer.run(source, look, i, canvas, &mut reader.scratch);
+        reader.artist = artist;
         Ok(())
     }
 }

@@ -10,13 +10,17 @@
 //! | `neighbours` | which frames see a frame's scene from beside it |
 //! | `sweep` | plane sweep (Collins 1996): how alike they are at each depth |
 //! | `smooth` | semi-global matching (Hirschmüller 2008): the depth of each pixel |
-//! | `draw` | the frame from a camera elsewhere |
+//! | `agree` | the median of that and of what the neighbours see there |
+//! | `helpers` | which frames show what a frame does not, once its camera is elsewhere |
+//! | `draw` | what a camera elsewhere sees, out of these frames |
 //!
-//! Depth is rough (48 planes, an image of some hundred pixels), and what no frame saw is filled from the
+//! Depth is rough (48 planes, an image of some hundred pixels), and what none of these frames saw is filled from the
 //! background: good enough to learn from, not to measure in. As all training data it is a pure function of the recording, in IEEE
 //! arithmetic.
 
+mod agree;
 mod draw;
+mod helpers;
 mod neighbours;
 mod smooth;
 mod sweep;
@@ -29,10 +33,16 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 use super::DataError;
+use super::augment::Border;
 use super::image::{Lens, Rgb};
 use super::window::{Purpose, check_share, generator};
 
+use draw::Part;
+
 pub(crate) use draw::Artist;
+
+/// Frames at most that show what a frame does not.
+const HELPERS: usize = 3;
 
 /// How windows of a recording are seen from elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -109,6 +119,9 @@ pub(crate) struct Views {
 #[derive(Debug, Default)]
 struct Known {
     neighbours: OnceLock<Vec<usize>>,
+    /// By itself.
+    alone: OnceLock<Surface>,
+    /// As its neighbours see it, too.
     surface: OnceLock<Surface>,
 }
 
@@ -144,13 +157,8 @@ impl Views {
         chosen.iter().all(|frame| self.has_depth(*frame)).then_some(shifts)
     }
 
-    /// Of the stored image of a frame.
-    pub fn lens(&self, frame: usize) -> Lens {
-        self.stations[frame].lens
-    }
-
     /// Whether enough frames see the scene of this one from beside it.
-    fn has_depth(&self, frame: usize) -> bool {
+    pub fn has_depth(&self, frame: usize) -> bool {
         self.neighbours(frame).len() >= 2
     }
 
@@ -159,13 +167,61 @@ impl Views {
         self.known[frame].neighbours.get_or_init(find)
     }
 
-    /// The depth of a frame; `image` gives the stored image of a frame.
-    pub fn surface<E>(
+    /// The view of a camera that stands at `frame_from_new`, beside a frame; `image` gives the stored image of a frame.
+    pub fn draw<'a, E>(
+        &self,
+        artist: &'a mut Artist,
+        (frame, frame_from_new): (usize, &Pose),
+        (input, size): (Lens, (usize, usize)),
+        (border, mean): (Border, [f32; 3]),
+        mut image: impl FnMut(usize) -> Result<Arc<Rgb>, E>,
+    ) -> Result<&'a Rgb, E> {
+        let world_from_new = self.stations[frame].world_from_camera * frame_from_new;
+        let (mut parts, mut used) = (Vec::new(), Vec::new());
+        artist.begin(size);
+        let mut next = Some(frame);
+        while let Some(frame) = next {
+            let Station { world_from_camera, lens } = self.stations[frame];
+            let surface = self.surface(frame, &mut image)?;
+            let own_from_new = world_from_camera.inv_mul(&world_from_new);
+            let part = Part { image: image(frame)?, lens, surface, own_from_new };
+            artist.add(used.len() as u8, &part, input);
+            parts.push(part);
+            used.push(frame);
+            let missing = artist.missing(parts[0].surface, input);
+            let stored_px = (surface.width, surface.height);
+            let is_used = |other: usize| used.contains(&other) || !self.has_depth(other);
+            next = (used.len() <= HELPERS && !missing.is_empty())
+                .then(|| helpers::best(&missing, &world_from_new, &self.stations, stored_px, is_used))
+                .flatten();
+        }
+        Ok(artist.finish(&parts, input, (border, mean)))
+    }
+
+    /// The depth of a frame.
+    fn surface<E>(
         &self,
         frame: usize,
-        mut image: impl FnMut(usize) -> Result<Arc<Rgb>, E>,
+        image: &mut impl FnMut(usize) -> Result<Arc<Rgb>, E>,
     ) -> Result<&Surface, E> {
         let known = &self.known[frame].surface;
+        if let Some(surface) = known.get() {
+            return Ok(surface);
+        }
+        let own = (&self.stations[frame], self.alone(frame, image)?);
+        let neighbours = self.neighbours(frame);
+        let others = neighbours.iter().map(|other| Ok((&self.stations[*other], self.alone(*other, image)?)));
+        let others = others.collect::<Result<Vec<_>, E>>()?;
+        Ok(known.get_or_init(|| agree::median(own, &others)))
+    }
+
+    /// The depth of a frame by itself.
+    fn alone<E>(
+        &self,
+        frame: usize,
+        image: &mut impl FnMut(usize) -> Result<Arc<Rgb>, E>,
+    ) -> Result<&Surface, E> {
+        let known = &self.known[frame].alone;
         if let Some(surface) = known.get() {
             return Ok(surface);
         }
