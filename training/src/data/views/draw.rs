@@ -192,25 +192,34 @@ impl Artist {
 
 /// Inverse depths as a camera elsewhere sees them, every point over two by two pixels; the nearest wins.
 pub(super) fn splat(surface: &Surface, new: &Map, seen: &mut [f32], (width, height): (usize, usize)) {
-    for (pixel, inverse_depth) in surface.inverse_depth.iter().enumerate() {
-        let (x, y) = (pixel % surface.width, pixel / surface.width);
-        let is_inside = |at: usize, side: usize| at >= EDGE && at + EDGE < side;
-        if !(is_inside(x, surface.width) && is_inside(y, surface.height)) {
-            continue;
-        }
-        let (u, v, nearness) = new.at(x as f32, y as f32, *inverse_depth);
-        // Not behind the camera, nor so near that it fills the image.
-        if !(nearness > 0.0 && nearness < 10.0 && u > -1.0 && v > -1.0) {
-            continue;
-        }
-        let (left, top) = (u.floor(), v.floor());
-        for (column, row) in [(left, top), (left + 1.0, top), (left, top + 1.0), (left + 1.0, top + 1.0)] {
-            if column >= 0.0 && row >= 0.0 && (column as usize) < width && (row as usize) < height {
-                let seen = &mut seen[row as usize * width + column as usize];
-                *seen = seen.max(nearness);
+    let (columns, rows) = (surface.width, surface.height);
+    for y in EDGE..rows.saturating_sub(EDGE) {
+        for x in EDGE..columns.saturating_sub(EDGE) {
+            let (u, v, nearness) = new.at(x as f32, y as f32, surface.inverse_depth[y * columns + x]);
+            // Not behind the camera, nor so near that it fills the image.
+            if !(nearness > 0.0 && nearness < 10.0 && u > -1.0 && v > -1.0) {
+                continue;
+            }
+            let (left, top) = (floor(u), floor(v));
+            for row in [top, top + 1] {
+                for column in [left, left + 1] {
+                    // Below zero these are out of range, too.
+                    let (column, row) = (column as usize, row as usize);
+                    if column < width && row < height {
+                        let seen = &mut seen[row * width + column];
+                        *seen = seen.max(nearness);
+                    }
+                }
             }
         }
     }
+}
+
+/// Without the call of a function that `f32::floor` is on processors of the oldest kind.
+fn floor(value: f32) -> isize {
+    // Far outside every image the conversion saturates; one more still fits.
+    let towards_zero = value.min(1e9) as isize;
+    towards_zero - isize::from(towards_zero as f32 > value)
 }
 
 /// Pixels of one camera with their inverse depth, to pixels of another.
