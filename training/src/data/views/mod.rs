@@ -188,10 +188,13 @@ impl Views {
             artist.add(used.len() as u8, &part, input);
             parts.push(part);
             used.push(frame);
+            if used.len() > HELPERS {
+                break;
+            }
             let missing = artist.missing(parts[0].surface, input);
             let stored_px = (surface.width, surface.height);
             let is_used = |other: usize| used.contains(&other) || !self.has_depth(other);
-            next = (used.len() <= HELPERS && !missing.is_empty())
+            next = (!missing.is_empty())
                 .then(|| helpers::best(&missing, &world_from_new, &self.stations, stored_px, is_used))
                 .flatten();
         }
