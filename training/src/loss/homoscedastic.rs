@@ -4,7 +4,7 @@
 use candle_core::{DType, Device, Result, Tensor, Var, bail};
 
 use super::targets::TargetStatistics;
-use super::{Component, Head, Term};
+use super::{Component, Head, Norm, Term};
 
 /// Smallest variance that a weight starts from: 1 mm^2 and (0.06 deg)^2.
 const MIN_VARIANCE: f64 = 1e-6;
@@ -13,9 +13,11 @@ const MIN_VARIANCE: f64 = 1e-6;
 ///
 /// With `L` a mean of squared components this is, up to the constant factor 1/2 that all terms share and that is left
 /// out, the negative log likelihood of Gaussian errors of variance `exp(s)`; its minimum over `s` is at `s = ln L`, so
-/// the weights follow what is left of each error.
+/// the weights follow what is left of each error. A length `L` counts as `2 exp(-s / 2) L + s`, with its minimum at `s = 2 ln L`: the
+/// same for errors with Laplace's tails, so that `exp(s / 2)` is a deviation in both.
 #[derive(Debug, Clone)]
 pub struct Homoscedastic {
+    norm: Norm,
     weights: Vec<(Head, Term, Component, Var)>,
 }
 
@@ -26,7 +28,12 @@ impl Homoscedastic {
     ///
     /// # Errors
     /// When a statistic is not finite or the variables cannot be made.
-    pub fn initial(statistics: &TargetStatistics, heads: &[Head], device: &Device) -> Result<Self> {
+    pub fn initial(
+        norm: Norm,
+        statistics: &TargetStatistics,
+        heads: &[Head],
+        device: &Device,
+    ) -> Result<Self> {
         let mut weights = Vec::new();
         for head in heads {
             for (term, component, variance) in [
@@ -48,14 +55,14 @@ impl Homoscedastic {
                 weights.push((*head, term, component, Var::from_tensor(&Tensor::new(s, device)?)?));
             }
         }
-        Ok(Self { weights })
+        Ok(Self { norm, weights })
     }
 
-    /// Puts the weights of a head where their minimum for a batch is, `s = ln L`: a network that is trained on has small
+    /// Puts the weights of a head where their minimum for a batch is: a network that is trained on has small
     /// errors, which weights from the targets' deviations would take a thousand steps to follow.
     ///
     /// `gradient` gives the derivative by each variable of the loss in which the head counts `weight` times. With
-    /// `d/ds w (exp(-s) L + s) = w (1 - exp(-s) L)` it tells `L`.
+    /// `d/ds w (exp(-s) L + s) = w (1 - exp(-s) L)` it tells `L`, and for a length, with `w (1 - exp(-s / 2) L)`, likewise.
     ///
     /// # Errors
     /// When a variable cannot be read or set.
@@ -68,8 +75,12 @@ impl Homoscedastic {
         for (_, _, _, var) in self.weights.iter().filter(|(of, ..)| *of == head) {
             let Some(gradient) = gradient(var)? else { continue };
             let s = f64::from(var.to_scalar::<f32>()?);
-            let loss = s.exp() * (1.0 - gradient / weight);
-            var.set(&Tensor::new(loss.max(MIN_VARIANCE).ln() as f32, var.device())?)?;
+            let share = 1.0 - gradient / weight;
+            let variance = match self.norm {
+                Norm::Squares => s.exp() * share,
+                Norm::Length => s.exp() * share * share,
+            };
+            var.set(&Tensor::new(variance.max(MIN_VARIANCE).ln() as f32, var.device())?)?;
         }
         Ok(())
     }
@@ -94,7 +105,7 @@ impl Homoscedastic {
         self.vars().into_iter().map(read).collect()
     }
 
-    /// `exp(-s) loss + s`.
+    /// The loss with its weight.
     pub(super) fn weigh(
         &self,
         head: Head,
@@ -109,7 +120,18 @@ impl Homoscedastic {
                 name(head, term, component)
             );
         };
-        (loss * s.neg()?.exp()?)? + s.as_tensor()
+        self.norm.weigh(loss, s)
+    }
+}
+
+impl Norm {
+    /// `exp(-s) loss + s` for squares, `2 exp(-s / 2) loss + s` for lengths.
+    pub(super) fn weigh(self, loss: &Tensor, s: &Tensor) -> Result<Tensor> {
+        let weight = match self {
+            Self::Squares => s.neg()?.exp()?,
+            Self::Length => s.affine(-0.5, 0.0)?.exp()?.affine(2.0, 0.0)?,
+        };
+        (loss * weight)? + s
     }
 }
 
@@ -129,7 +151,7 @@ mod tests {
     };
 
     fn weights(heads: &[Head]) -> Homoscedastic {
-        Homoscedastic::initial(&STATISTICS, heads, &Device::Cpu).unwrap()
+        Homoscedastic::initial(Norm::Squares, &STATISTICS, heads, &Device::Cpu).unwrap()
     }
 
     #[test]
@@ -165,8 +187,14 @@ mod tests {
 
     #[test]
     fn a_start_from_a_batch_is_at_its_minimum() {
-        let weights = weights(&[Head::Global, Head::Fused]);
-        let loss = Tensor::new(0.0016_f32, &Device::Cpu).unwrap();
+        starts_at_its_minimum(Norm::Squares, 0.0016);
+        starts_at_its_minimum(Norm::Length, 0.04);
+    }
+
+    fn starts_at_its_minimum(norm: Norm, loss: f32) {
+        let heads = [Head::Global, Head::Fused];
+        let weights = Homoscedastic::initial(norm, &STATISTICS, &heads, &Device::Cpu).unwrap();
+        let loss = Tensor::new(loss, &Device::Cpu).unwrap();
         let weighed =
             weights.weigh(Head::Fused, Term::Absolute, Component::Rotation, &loss).unwrap().affine(1.5, 0.0);
         let gradients = weighed.unwrap().backward().unwrap();
@@ -191,7 +219,9 @@ mod tests {
         let error = weights(&[Head::Global]).weigh(Head::Fused, Term::Pairs, Component::Rotation, &loss);
         assert!(error.unwrap_err().to_string().contains("loss.fused.pairs.rotation"));
         let bad = TargetStatistics { pairs_rotation_rad2: f64::NAN, ..STATISTICS };
-        let error = Homoscedastic::initial(&bad, &[Head::Relative], &Device::Cpu).unwrap_err().to_string();
+        let error = Homoscedastic::initial(Norm::Squares, &bad, &[Head::Relative], &Device::Cpu)
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("loss.relative.pairs.rotation") && error.contains("NaN"), "{error}");
     }
 }

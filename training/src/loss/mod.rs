@@ -31,7 +31,12 @@
 //! rotation is first projected: a quaternion by its length, six numbers by Gram-Schmidt. Residuals are squared, the likelihood
 //! of Gaussian errors, the same that the published covariances assume.
 //!
-//! Beside either stands [`uncertainty_loss`] for the log-variance heads.
+//! `Loss::Robust` differs from that in one thing: it takes lengths instead of squares, `L_t = mean |t - t*| / sqrt(3)` and likewise
+//! `L_r`, and a term counts as `2 exp(-s / 2) L + s`, the likelihood of errors with Laplace's heavier tails (Kendall & Cipolla,
+//! CVPR 2017, take this norm, too). Images that say little then do not pull at the rest as their squares do. Below a
+//! millimetre and a milliradian lengths are rounded off, so that a perfect prediction has a gradient.
+//!
+//! Beside each stands [`uncertainty_loss`] for the log-variance heads.
 //!
 //! Motions and residuals are computed on the CPU in f64 with analytic gradients, whatever the device of the network.
 
@@ -65,6 +70,44 @@ pub enum Loss {
     Paper,
     /// The same pairs and frames with a rotation residual on SO(3) and learned weights.
     Learned,
+    /// As `Learned`, of lengths instead of squares.
+    Robust,
+}
+
+/// Lengths below this (m or rad) are nearly squares.
+const ROUNDED: f64 = 1e-3;
+
+/// What of the three components of an error counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Norm {
+    /// The mean of their squares.
+    Squares,
+    /// Their root mean square.
+    Length,
+}
+
+impl Loss {
+    /// The norm, where weights are learned.
+    pub const fn norm(self) -> Option<Norm> {
+        match self {
+            Self::Paper => None,
+            Self::Learned => Some(Norm::Squares),
+            Self::Robust => Some(Norm::Length),
+        }
+    }
+}
+
+impl Norm {
+    /// (B, M, 3) squares of the components -> their mean over windows and motions, a scalar.
+    fn mean(self, squares: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Squares => squares.mean_all(),
+            Self::Length => {
+                let square = squares.mean(2)?; // (B, M, 3) -> (B, M)
+                square.affine(1.0, ROUNDED * ROUNDED)?.sqrt()?.mean_all()?.affine(1.0, -ROUNDED)
+            }
+        }
+    }
 }
 
 /// The head whose outputs a loss is about.
@@ -194,29 +237,26 @@ fn terms(
     let motions: Vec<Motion> = groups.iter().flat_map(|(_, motions)| motions).copied().collect();
     let truths = targets.truths(&motions);
     let parts = parts(&errors(output, targets, &motions, &truths)?, groups)?;
-    let space = match kind {
-        Loss::Paper => Space::Quaternion,
-        Loss::Learned => Space::Log,
-    };
+    let space = if kind == Loss::Paper { Space::Quaternion } else { Space::Log };
     let residuals = Residuals { space, frames: targets.frames(), motions, truths };
     let residuals = residuals.of(output, targets.device())?; // (B, M, 7 or 6)
     let squares = residuals.sqr()?;
-    let total = match kind {
-        Loss::Paper => {
+    let total = match kind.norm() {
+        None => {
             let translation = squares.narrow(2, 0, 3)?.sum_all()?.affine(1.0 / 3.0, 0.0)?;
             let rotation = squares.narrow(2, 3, 4)?.sum_all()?.affine(1.0 / 4.0, 0.0)?;
             (translation + rotation)?.affine(1.0 / targets.batch() as f64, 0.0)?
         }
-        Loss::Learned => {
+        Some(norm) => {
             let mut weighed = Vec::new();
             let mut first = 0;
             for (term, motions) in groups {
                 let of_group = squares.narrow(1, first, motions.len())?; // (B, M, 6) -> (B, group, 6)
                 for (component, at) in [(Component::Translation, 0), (Component::Rotation, 3)] {
-                    let loss = of_group.narrow(2, at, 3)?.mean_all()?;
+                    let loss = norm.mean(&of_group.narrow(2, at, 3)?)?;
                     weighed.push(match homoscedastic {
                         Some(weights) => weights.weigh(head, *term, component, &loss)?,
-                        None => loss,
+                        None => norm.weigh(&loss, &loss.zeros_like()?)?,
                     });
                 }
                 first += motions.len();

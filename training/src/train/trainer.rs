@@ -19,7 +19,7 @@ use super::replicas::{Gradient, Replica, gradient};
 use super::sources::Sources;
 use super::state::{self, Position};
 use super::validate::Validator;
-use crate::loss::{Head, Homoscedastic, Loss};
+use crate::loss::{Head, Homoscedastic};
 use crate::run::{LogEntry, LogKind, Progress, RunFolder, State, Update};
 
 /// Steps between two lines of the log.
@@ -62,12 +62,9 @@ impl<'a> Trainer<'a> {
         mut folder: RunFolder,
         device: Device,
     ) -> Result<Self, TrainError> {
-        let homoscedastic = match recipe.loss {
-            Loss::Paper => None,
-            Loss::Learned => {
-                Some(Homoscedastic::initial(&sources.normalisation().targets, &recipe.heads(), &device)?)
-            }
-        };
+        let statistics = &sources.normalisation().targets;
+        let initial = |norm| Homoscedastic::initial(norm, statistics, &recipe.heads(), &device);
+        let homoscedastic = recipe.loss.norm().map(initial).transpose()?;
         let validator = match &recipe.validation {
             Some(validation) => Some(Validator::new(validation, sources)?),
             None => None,

@@ -183,7 +183,7 @@ impl RecordedWindows {
                 let camera = frame.camera?;
                 let stored_px = options.work_px(camera.size_px(), &input);
                 let lens = Lens::of_stored(&camera, stored_px);
-                Some(Station { world_from_camera: frame.world_from_camera, lens })
+                Some(Station { world_from_camera: frame.world_from_camera, lens, size_px: stored_px })
             };
             Views::new(views, frames.iter().filter_map(station).collect())
         });

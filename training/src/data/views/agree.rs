@@ -45,6 +45,7 @@ mod tests {
         let station = |x_m: f64| Station {
             world_from_camera: Pose::translation(x_m, 0.0, 0.0),
             lens: Lens::of_stored(&camera, (40, 30)),
+            size_px: (40, 30),
         };
         let stations = [station(0.0), station(-0.1), station(0.1)];
         let wall = Surface { width: 40, height: 30, inverse_depth: vec![0.5; 40 * 30] };

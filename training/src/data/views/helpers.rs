@@ -16,12 +16,10 @@ pub(super) fn best(
     points: &[Point3<f64>],
     world_from_new: &Pose,
     stations: &[Station],
-    stored_px: (usize, usize),
     is_used: impl Fn(usize) -> bool,
 ) -> Option<usize> {
     let depth = points.iter().map(|point| point.z).sum::<f64>() / points.len().max(1) as f64;
     let least = (points.len() as f64 / 4.0).max(1.0);
-    let (width, height) = (stored_px.0 as f64, stored_px.1 as f64);
     let mut found: Option<(usize, f64)> = None;
     for (index, station) in stations.iter().enumerate() {
         let own_from_new = station.world_from_camera.inv_mul(world_from_new);
@@ -38,6 +36,7 @@ pub(super) fn best(
         }
         let pixel = station.lens.pixel_from_ray() * own_from_new.rotation.to_rotation_matrix().matrix();
         let shift = station.lens.pixel_from_ray() * own_from_new.translation.vector;
+        let (width, height) = (f64::from(station.size_px.0), f64::from(station.size_px.1));
         let is_seen = |point: &&Point3<f64>| {
             let seen = pixel * point.coords + shift;
             let (u, v) = (seen.x / seen.z, seen.y / seen.z);
@@ -65,19 +64,22 @@ mod tests {
         let camera = Camera::new((80, 60), (60.0, 60.0), (39.5, 29.5), Distortion::None).unwrap();
         let rotation = UnitQuaternion::from_scaled_axis(Vector3::y() * yaw_rad);
         let world_from_camera = Pose::from_parts(Translation3::new(x_m, 0.0, 0.0), rotation);
-        Station { world_from_camera, lens: Lens::of_stored(&camera, (80, 60)) }
+        Station { world_from_camera, lens: Lens::of_stored(&camera, (80, 60)), size_px: (80, 60) }
     }
 
     #[test]
     fn the_nearest_frame_that_sees_what_is_missing_is_taken() {
         let points = [-0.4, 0.0, 0.4].map(|y| Point3::new(1.7, y, 2.0));
         let chosen = |stations: &[Station], used: &[usize]| {
-            best(&points, &Pose::identity(), stations, (80, 60), |index| used.contains(&index))
+            best(&points, &Pose::identity(), stations, |index| used.contains(&index))
         };
         // Straight ahead; turned to the points; the same from farther away; turned away.
         let stations = [station(0.0, 0.0), station(0.1, 0.3), station(0.6, 0.3), station(0.1, -0.3)];
         assert_eq!(chosen(&stations, &[]), Some(1));
         assert_eq!(chosen(&stations, &[1]), Some(2));
         assert_eq!(chosen(&stations, &[1, 2]), None);
+        // The same camera, but of a recording whose images end before the points.
+        let narrow = Station { size_px: (30, 60), ..station(0.1, 0.3) };
+        assert_eq!(chosen(&[narrow, station(0.6, 0.3)], &[]), Some(1));
     }
 }

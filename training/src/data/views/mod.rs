@@ -105,6 +105,8 @@ pub(crate) struct Station {
     pub world_from_camera: Pose,
     /// Of the stored image.
     pub lens: Lens,
+    /// Width and height of the stored image in pixels.
+    pub size_px: (u32, u32),
 }
 
 /// The depths of a recording's frames, each found when it is first needed.
@@ -181,7 +183,7 @@ impl Views {
         artist.begin(size);
         let mut next = Some(frame);
         while let Some(frame) = next {
-            let Station { world_from_camera, lens } = self.stations[frame];
+            let Station { world_from_camera, lens, .. } = self.stations[frame];
             let surface = self.surface(frame, &mut image)?;
             let own_from_new = world_from_camera.inv_mul(&world_from_new);
             let part = Part { image: image(frame)?, lens, surface, own_from_new };
@@ -192,10 +194,9 @@ impl Views {
                 break;
             }
             let missing = artist.missing(parts[0].surface, input);
-            let stored_px = (surface.width, surface.height);
             let is_used = |other: usize| used.contains(&other) || !self.has_depth(other);
             next = (!missing.is_empty())
-                .then(|| helpers::best(&missing, &world_from_new, &self.stations, stored_px, is_used))
+                .then(|| helpers::best(&missing, &world_from_new, &self.stations, is_used))
                 .flatten();
         }
         Ok(artist.finish(&parts, input, (border, mean)))

@@ -61,7 +61,7 @@ mod tests {
         let camera = Camera::new((8, 6), (6.0, 6.0), (3.5, 2.5), Distortion::None).unwrap();
         let rotation = UnitQuaternion::from_scaled_axis(Vector3::y() * yaw_rad);
         let world_from_camera = Pose::from_parts(Translation3::new(x_m, 0.0, z_m), rotation);
-        Station { world_from_camera, lens: Lens::of_stored(&camera, (8, 6)) }
+        Station { world_from_camera, lens: Lens::of_stored(&camera, (8, 6)), size_px: (8, 6) }
     }
 
     #[test]
