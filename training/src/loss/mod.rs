@@ -33,7 +33,7 @@
 //!
 //! `Loss::Robust` differs from that in one thing: it takes lengths instead of squares, `L_t = mean |t - t*| / sqrt(3)` and likewise
 //! `L_r`, and a term counts as `2 exp(-s / 2) L + s`, the likelihood of errors with Laplace's heavier tails (Kendall & Cipolla,
-//! CVPR 2017, take this norm, too). Images that say little then do not pull at the rest as their squares do. Below a
+//! CVPR 2017, prefer an L1 norm to squares, too). Images that say little then do not pull at the rest as their squares do. Below a
 //! millimetre and a milliradian lengths are rounded off, so that a perfect prediction has a gradient.
 //!
 //! Beside each stands [`uncertainty_loss`] for the log-variance heads.

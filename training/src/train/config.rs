@@ -31,7 +31,7 @@ pub struct Recipe {
     /// On a GPU: matrix products round their factors to 10 bits (TF32), which is faster.
     #[serde(default)]
     pub tf32: bool,
-    /// The paper's losses as written, or with learned weights and a proper rotation residual.
+    /// The paper's losses as written, or with learned weights and a proper rotation residual, of squares or of lengths.
     #[serde(default = "learned")]
     pub loss: Loss,
     /// The network: `preset`, and any field of it that differs [default: that of `init.checkpoint`].
