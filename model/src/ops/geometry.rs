@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use candle_core::{Result, bail};
 
+use super::scratch;
+
 /// Columns of one product that keep the matrix kernels busy; smaller maps share a product.
 const COLUMNS_PER_PRODUCT: usize = 256;
 
@@ -89,6 +91,9 @@ impl Geometry {
     pub(super) fn columns(&self, images: &[f32], taps: Range<usize>, columns: &mut [f32]) {
         let (out_map, count) = (self.out_map(), images.len() / self.image());
         assert_eq!(columns.len(), taps.len() * count * out_map, "rows {taps:?} of {count} images");
+        if self.kernel > 1 && self.stride > 1 {
+            return self.strided_columns(images, taps, columns);
+        }
         for (tap, row) in taps.zip(columns.chunks_exact_mut(count * out_map)) {
             for (image, target) in images.chunks_exact(self.image()).zip(row.chunks_exact_mut(out_map)) {
                 self.gather(image, tap, target);
@@ -111,10 +116,20 @@ impl Geometry {
         first..beyond.div_ceil(self.stride).clamp(first, out)
     }
 
+    /// A row of the columns of one image, of a kernel of one pixel or one that moves by one.
     fn gather(&self, image: &[f32], tap: usize, target: &mut [f32]) {
         let (channel, down, right) = self.tap(tap);
         let map = &image[channel * self.map()..][..self.map()];
         let (out_width, width) = (self.out_width(), self.width);
+        if self.stride > 1 {
+            let source_rows = map.chunks_exact(width).step_by(self.stride);
+            for (row, source) in target.chunks_exact_mut(out_width).zip(source_rows) {
+                for (to, from) in row.iter_mut().zip(source.iter().step_by(self.stride)) {
+                    *to = *from;
+                }
+            }
+            return;
+        }
         let rows = self.inside(down, self.height, self.out_height());
         let columns = self.inside(right, width, out_width);
         if rows.is_empty() || columns.is_empty() {
@@ -123,28 +138,73 @@ impl Geometry {
         }
         target[..rows.start * out_width].fill(0.0);
         target[rows.end * out_width..].fill(0.0);
-        if self.stride == 1 {
-            // The map moved by one offset; what wraps around the sides is wiped out afterwards.
-            let shift = down * width as isize + right;
-            let (from, to) = (rows.start * width, rows.end * width);
-            let from_shifted = (from as isize + shift).max(0) as usize;
-            let to_shifted = ((to as isize + shift) as usize).min(map.len());
-            let first = (from_shifted as isize - shift) as usize;
-            target[first..first + (to_shifted - from_shifted)]
-                .copy_from_slice(&map[from_shifted..to_shifted]);
-            for row in target[from..to].chunks_exact_mut(width) {
-                row[..columns.start].fill(0.0);
-                row[columns.end..].fill(0.0);
-            }
-            return;
+        // The map moved by one offset; what wraps around the sides is wiped out afterwards.
+        let shift = down * width as isize + right;
+        let (from, to) = (rows.start * width, rows.end * width);
+        let from_shifted = (from as isize + shift).max(0) as usize;
+        let to_shifted = ((to as isize + shift) as usize).min(map.len());
+        let first = (from_shifted as isize - shift) as usize;
+        target[first..first + (to_shifted - from_shifted)].copy_from_slice(&map[from_shifted..to_shifted]);
+        for row in target[from..to].chunks_exact_mut(width) {
+            row[..columns.start].fill(0.0);
+            row[columns.end..].fill(0.0);
         }
-        for row in rows {
-            let target = &mut target[row * out_width..][..out_width];
-            let source = &map[((row * self.stride) as isize + down) as usize * width..][..width];
-            target[..columns.start].fill(0.0);
-            target[columns.end..].fill(0.0);
-            for column in columns.clone() {
-                target[column] = source[((column * self.stride) as isize + right) as usize];
+    }
+
+    /// [`Self::columns`] of a kernel that moves by more than a pixel. What a tap reads lies a stride apart: the map is sorted by that
+    /// once, every `stride`th column beside the next, and each of the many taps copies whole rows.
+    fn strided_columns(&self, images: &[f32], taps: Range<usize>, columns: &mut [f32]) {
+        let (out_map, out_width, width) = (self.out_map(), self.out_width(), self.width);
+        let (area, row_of_columns) = (self.kernel * self.kernel, columns.len() / taps.len().max(1));
+        let sorted_width = width.div_ceil(self.stride);
+        scratch::with(self.stride * self.height * sorted_width, |sorted| {
+            let mut first = taps.start;
+            while first < taps.end {
+                let channel = first / area;
+                let end = ((channel + 1) * area).min(taps.end);
+                for (number, image) in images.chunks_exact(self.image()).enumerate() {
+                    let map = &image[channel * self.map()..][..self.map()];
+                    self.sort_by_phase(map, sorted);
+                    for tap in first..end {
+                        let start = (tap - taps.start) * row_of_columns + number * out_map;
+                        let target = &mut columns[start..][..out_map];
+                        let (_, down, right) = self.tap(tap);
+                        let rows = self.inside(down, self.height, self.out_height());
+                        let inside = self.inside(right, width, out_width);
+                        if inside.is_empty() {
+                            target.fill(0.0);
+                            continue;
+                        }
+                        target[..rows.start * out_width].fill(0.0);
+                        target[rows.end * out_width..].fill(0.0);
+                        let stride = self.stride as isize;
+                        let phase = right.rem_euclid(stride) as usize;
+                        let from = (inside.start as isize + right.div_euclid(stride)).max(0) as usize;
+                        for row in rows {
+                            let target = &mut target[row * out_width..][..out_width];
+                            let source_row = ((row * self.stride) as isize + down) as usize;
+                            let source = &sorted[(source_row * self.stride + phase) * sorted_width..];
+                            target[..inside.start].fill(0.0);
+                            target[inside.end..].fill(0.0);
+                            target[inside.clone()].copy_from_slice(&source[from..][..inside.len()]);
+                        }
+                    }
+                }
+                first = end;
+            }
+        });
+    }
+
+    /// Each row of a map as `stride` shorter ones: its columns 0, stride, 2 stride ..., then 1, stride + 1 ... .
+    fn sort_by_phase(&self, map: &[f32], sorted: &mut [f32]) {
+        let sorted_width = self.width.div_ceil(self.stride);
+        for (row, sorted) in
+            map.chunks_exact(self.width).zip(sorted.chunks_exact_mut(self.stride * sorted_width))
+        {
+            for (phase, sorted) in sorted.chunks_exact_mut(sorted_width).enumerate() {
+                for (to, from) in sorted.iter_mut().zip(row.iter().skip(phase).step_by(self.stride)) {
+                    *to = *from;
+                }
             }
         }
     }
@@ -190,7 +250,7 @@ mod tests {
     #[test]
     fn columns_hold_the_pixel_under_every_tap_and_scatter_is_their_transpose() {
         for (height, width) in [(15, 20), (7, 7), (5, 4), (1, 1), (2, 3), (1, 6)] {
-            for (kernel, stride) in [(1, 1), (1, 2), (3, 1), (3, 2), (7, 1), (7, 2)] {
+            for (kernel, stride) in [(1, 1), (1, 2), (3, 1), (3, 2), (7, 1), (7, 2), (5, 3)] {
                 let g = geometry(height, width, kernel, stride);
                 let images: Vec<f32> = (0..2 * g.image()).map(|i| 1.0 + i as f32).collect();
                 let mut columns = vec![f32::NAN; g.taps() * 2 * g.out_map()];
