@@ -1,5 +1,9 @@
-//! Uncertainties that mean what they say: after the training the log-variance layers are scaled on held-out windows, so that
-//! the mean squared error in units of the stated deviation is 1 for each component.
+//! Uncertainties that mean what they say: after the training the log-variance layers are scaled, so that the mean squared error in
+//! units of the stated deviation is 1 for each component on held-out windows, and not above 1 on windows like those of the training.
+//!
+//! Held-out frames of a recording may be few, and all from one corner of the place. What the network says of them is what it says of
+//! things it does not know, and may be too cautious by ten times where it is right everywhere else: scaled by that alone, a covariance
+//! that was learnt from thousands of windows would shrink below the errors of these very windows.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -8,8 +12,9 @@ use grnet_model::Heads;
 use serde::Serialize;
 
 use super::TrainError;
-use super::config::LossWeights;
+use super::config::{LossWeights, Stage};
 use super::parameters::Parameters;
+use super::sources::Sources;
 use super::validate::{Residual, Validator};
 use crate::loss::Head;
 
@@ -21,14 +26,49 @@ const LARGEST_SQUARED: f64 = 100.0;
 /// What the calibration of a head found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Calibration {
-    /// Residuals used.
+    /// Residuals on held-out windows.
     pub residuals: usize,
     /// Added to each log-variance (translation, rotation).
     pub shift: [f64; 6],
-    /// Mean normalised squared error (6 components; 6 is perfect) before and after.
+    /// Mean normalised squared error (6 components; 6 is perfect) before and after, on held-out windows.
     pub nees: [f64; 2],
-    /// Share of components within 1, 2 and 3 stated deviations after it (.683, .954, .997 are perfect).
+    /// Likewise on windows like those of the training, where there are any.
+    pub training_nees: Option<[f64; 2]>,
+    /// Share of components of held-out windows within 1, 2 and 3 stated deviations after it (.683, .954, .997 are perfect).
     pub within_sigmas: [f64; 3],
+}
+
+/// Windows like those that a head was trained on last.
+#[derive(Debug)]
+pub struct Shown {
+    windows: Validator,
+    heads: Vec<Head>,
+}
+
+impl Shown {
+    /// For each data set that the last stage of some head takes its windows from.
+    ///
+    /// # Errors
+    /// When a window cannot be read.
+    pub fn of(stages: &[Stage], sources: &Sources) -> Result<Vec<Self>, TrainError> {
+        last_shown(stages)
+            .into_iter()
+            .map(|(data, heads)| Ok(Self { windows: Validator::of_training(data, sources)?, heads }))
+            .collect()
+    }
+}
+
+/// The heads by the data set of the last stage that trained their log-variances.
+fn last_shown(stages: &[Stage]) -> BTreeMap<&str, Vec<Head>> {
+    let mut shown: BTreeMap<&str, Vec<Head>> = BTreeMap::new();
+    for head in [Head::Relative, Head::Global, Head::Fused] {
+        let trains =
+            |stage: &&Stage| stage.loss.uncertainty > 0.0 && stage.loss.heads().any(|(of, _)| of == head);
+        if let Some(stage) = stages.iter().rev().find(trains) {
+            shown.entry(&stage.data).or_default().push(head);
+        }
+    }
+    shown
 }
 
 /// Shifts the biases of the log-variance layers in `parameters`; heads without enough residuals are left alone.
@@ -37,7 +77,8 @@ pub struct Calibration {
 /// When the network cannot be run.
 pub fn calibrate(
     parameters: &mut Parameters,
-    validator: &Validator,
+    held_out: &Validator,
+    shown: &[Shown],
     heads: Heads,
     device: &Device,
 ) -> Result<BTreeMap<Head, Calibration>, TrainError> {
@@ -51,9 +92,16 @@ pub fn calibrate(
     if weights == LossWeights::default() {
         return Ok(BTreeMap::new());
     }
+    let mut of_training = BTreeMap::new();
+    for Shown { windows, heads } in shown {
+        let residuals = windows.residuals(parameters, weights, device)?;
+        of_training.extend(residuals.into_iter().filter(|(head, _)| heads.contains(head)));
+    }
     let mut found = BTreeMap::new();
-    for (head, residuals) in validator.residuals(parameters, weights, device)? {
-        let Some(calibration) = fit(&residuals) else { continue };
+    for (head, residuals) in held_out.residuals(parameters, weights, device)? {
+        let Some(calibration) = fit(&residuals, of_training.get(&head).map_or(&[], Vec::as_slice)) else {
+            continue;
+        };
         let key = format!("{}.log_variance.bias", part_of(head));
         let bias =
             parameters.snapshot()?.remove(&key).ok_or(TrainError::UnknownTensor { tensor: key.clone() })?;
@@ -74,43 +122,59 @@ fn part_of(head: Head) -> &'static str {
     }
 }
 
-/// The shift that makes the mean squared error of each component 1 in units of its stated variance.
-fn fit(residuals: &[Residual]) -> Option<Calibration> {
-    let normalised: Vec<[f64; 6]> = residuals
-        .iter()
-        .filter_map(|residual| {
-            let log_variance = residual.log_variance?;
-            Some(std::array::from_fn(|c| residual.error[c].powi(2) / log_variance[c].exp()))
-        })
-        .collect();
-    if normalised.len() < FEWEST {
+/// The least shift with which the mean squared error of each component is at most 1 in units of its stated variance, on the held-out
+/// windows and on those of the training.
+fn fit(held_out: &[Residual], training: &[Residual]) -> Option<Calibration> {
+    let (held_out, training) = (Normalised::of(held_out), Normalised::of(training));
+    if held_out.0.len() < FEWEST {
         return None;
     }
-    let count = normalised.len() as f64;
-    let shift: [f64; 6] = std::array::from_fn(|component| {
+    let shift = std::array::from_fn(|component| held_out.shift(component).max(training.shift(component)));
+    let nees = |set: &Normalised| [set.nees(&[0.0; 6]), set.nees(&shift)];
+    Some(Calibration {
+        residuals: held_out.0.len(),
+        shift,
+        nees: nees(&held_out),
+        training_nees: (!training.0.is_empty()).then(|| nees(&training)),
+        within_sigmas: [1.0, 2.0, 3.0].map(|sigmas| held_out.within(sigmas, &shift)),
+    })
+}
+
+/// Squared errors of the components in units of their stated variances.
+struct Normalised(Vec<[f64; 6]>);
+
+impl Normalised {
+    fn of(residuals: &[Residual]) -> Self {
+        let normalised = |residual: &Residual| {
+            let log_variance = residual.log_variance?;
+            Some(std::array::from_fn(|c| residual.error[c].powi(2) / log_variance[c].exp()))
+        };
+        Self(residuals.iter().filter_map(normalised).collect())
+    }
+
+    /// What makes the mean of a component 1; nothing is below everything.
+    fn shift(&self, component: usize) -> f64 {
+        if self.0.is_empty() {
+            return f64::NEG_INFINITY;
+        }
         // A bounded mean, solved by iteration: how much is too much depends on the scale itself.
         let mut scale = 1.0f64;
         for _ in 0..50 {
-            let bounded =
-                normalised.iter().map(|row| (row[component] / scale).min(LARGEST_SQUARED)).sum::<f64>();
-            scale = (scale * bounded / count).max(1e-12);
+            let bounded = self.0.iter().map(|row| (row[component] / scale).min(LARGEST_SQUARED)).sum::<f64>();
+            scale = (scale * bounded / self.0.len() as f64).max(1e-12);
         }
         scale.ln()
-    });
-    let nees = |shift: &[f64; 6]| {
+    }
+
+    fn nees(&self, shift: &[f64; 6]) -> f64 {
         let sum = |row: &[f64; 6]| (0..6).map(|c| row[c] / shift[c].exp()).sum::<f64>();
-        normalised.iter().map(sum).sum::<f64>() / count
-    };
-    let within = |sigmas: f64| {
-        let inside = normalised.iter().flat_map(|row| (0..6).map(|c| row[c] / shift[c].exp()));
-        inside.filter(|squared| *squared <= sigmas * sigmas).count() as f64 / (6.0 * count)
-    };
-    Some(Calibration {
-        residuals: normalised.len(),
-        shift,
-        nees: [nees(&[0.0; 6]), nees(&shift)],
-        within_sigmas: [1.0, 2.0, 3.0].map(within),
-    })
+        self.0.iter().map(sum).sum::<f64>() / self.0.len() as f64
+    }
+
+    fn within(&self, sigmas: f64, shift: &[f64; 6]) -> f64 {
+        let inside = self.0.iter().flat_map(|row| (0..6).map(|c| row[c] / shift[c].exp()));
+        inside.filter(|squared| *squared <= sigmas * sigmas).count() as f64 / (6 * self.0.len()) as f64
+    }
 }
 
 #[cfg(test)]
@@ -131,19 +195,52 @@ mod tests {
 
     #[test]
     fn an_overconfident_head_is_widened_by_as_much_as_it_errs() {
-        let found = fit(&drawn(0.01, 0.05, 4000)).unwrap();
+        let found = fit(&drawn(0.01, 0.05, 4000), &drawn(0.01, 0.02, 4000)).unwrap();
         for shift in found.shift {
             assert!((shift - 25f64.ln()).abs() < 0.15, "{found:?}");
         }
         assert!((found.nees[0] - 150.0).abs() < 10.0 && (found.nees[1] - 6.0).abs() < 0.05, "{found:?}");
         assert!((found.within_sigmas[0] - 0.683).abs() < 0.02, "{found:?}");
+        assert!((found.training_nees.unwrap()[1] - 0.96).abs() < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn caution_on_a_few_held_out_frames_does_not_shrink_what_is_right_elsewhere() {
+        let found = fit(&drawn(1.0, 0.05, 400), &drawn(0.1, 0.1, 4000)).unwrap();
+        assert!((found.training_nees.unwrap()[1] - 6.0).abs() < 0.05 && found.nees[1] < 0.1, "{found:?}");
+        assert!(found.shift.iter().all(|shift| shift.abs() < 0.1), "{found:?}");
+        // Caution everywhere does shrink: to what the worse of the two allows.
+        let found = fit(&drawn(1.0, 0.05, 4000), &drawn(1.0, 0.1, 4000)).unwrap();
+        assert!((found.training_nees.unwrap()[1] - 6.0).abs() < 0.05, "{found:?}");
+        assert!(found.shift.iter().all(|shift| (shift - 0.01f64.ln()).abs() < 0.15), "{found:?}");
+    }
+
+    #[test]
+    fn a_head_is_measured_on_what_it_was_shown_last() {
+        let text = r#"name = "a"
+            data = "d"
+            train = ["rcnn2"]
+            loss = { global = 1.0 }
+            steps = 1
+            batch = 1"#;
+        let base: Stage = toml::from_str(text).unwrap();
+        let stage = |data: &str, loss| Stage { data: data.into(), loss, ..base.clone() };
+        let weights = |global, fused, uncertainty| LossWeights { relative: 0.0, global, fused, uncertainty };
+        let stages = [
+            stage("frames", weights(1.0, 0.0, 0.1)),
+            stage("near", weights(1.0, 1.0, 0.1)),
+            stage("far", weights(0.0, 1.0, 0.5)),
+            stage("poses alone", weights(1.0, 0.0, 0.0)),
+        ];
+        let shown = last_shown(&stages);
+        assert_eq!(shown, BTreeMap::from([("near", vec![Head::Global]), ("far", vec![Head::Fused])]));
     }
 
     #[test]
     fn a_few_residuals_or_none_calibrate_nothing() {
-        assert_eq!(fit(&drawn(0.01, 0.05, FEWEST - 1)), None);
+        assert_eq!(fit(&drawn(0.01, 0.05, FEWEST - 1), &drawn(0.01, 0.05, FEWEST)), None);
         let unknown: Vec<Residual> =
             drawn(1.0, 1.0, 100).into_iter().map(|r| Residual { log_variance: None, ..r }).collect();
-        assert_eq!(fit(&unknown), None);
+        assert_eq!(fit(&unknown, &[]), None);
     }
 }

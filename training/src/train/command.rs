@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use clap::Args;
 use grnet_model::{Checkpoint, Heads};
 
-use super::calibrate::{Calibration, calibrate};
+use super::calibrate::{Calibration, Shown, calibrate};
 use super::config::Recipe;
 use super::export::{self, Facts};
 use super::initial::{self, Initial};
@@ -126,7 +126,10 @@ impl Run {
         let steps = trainer.steps();
         let (mut parameters, validator) = trainer.into_parts();
         let calibration = match &validator {
-            Some(validator) => calibrate(&mut parameters, validator, newly(trained, heads, recipe), &device)?,
+            Some(validator) => {
+                let shown = Shown::of(&recipe.stages, &sources)?;
+                calibrate(&mut parameters, validator, &shown, newly(trained, heads, recipe), &device)?
+            }
             None => BTreeMap::new(),
         };
         let facts = Facts {
@@ -188,11 +191,14 @@ impl Trained {
     pub fn print_calibration(&self) {
         for (head, found) in &self.calibration {
             let [one, two, three] = found.within_sigmas.map(|share| 100.0 * share);
+            let [before, after] = found.nees;
             println!(
-                "uncertainty of the {head} pose: NEES {:.1} before, {:.1} after calibration (6 is right); within 1, 2, 3 sigmas \
-                 {one:.0} %, {two:.0} %, {three:.1} % (68, 95, 99.7 are right)",
-                found.nees[0], found.nees[1]
+                "uncertainty of the {head} pose: NEES {before:.1} before, {after:.1} after calibration (6 is right); within 1, 2, 3 \
+                 sigmas {one:.0} %, {two:.0} %, {three:.1} % (68, 95, 99.7 are right)"
             );
+            if let Some([before, after]) = found.training_nees {
+                println!("  on windows as in the training: NEES {before:.1} before, {after:.1} after");
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Held-out windows: scores for the curves, residuals for the calibration.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use grnet_geometry::{Pose, covariance, quaternion, se3, statistics};
@@ -12,13 +13,17 @@ use super::config::{LossWeights, Stage, Validation};
 use super::objective::Objective;
 use super::parameters::Parameters;
 use super::sources::Sources;
-use crate::data::{Batch, Loader};
+use crate::data::{Batch, Loader, Windows};
 use crate::loss::{Head, Loss};
 
 /// Windows in one forward pass.
 const BATCH: u64 = 8;
+/// Windows of a data set that stages learn from.
+const OF_TRAINING: u64 = 96;
+/// A batch that no training comes to.
+const BEYOND_TRAINING: u64 = 1 << 40;
 
-/// The held-out windows, in memory.
+/// Windows that the network is asked about, in memory.
 #[derive(Debug)]
 pub struct Validator {
     batches: Vec<Batch>,
@@ -39,9 +44,20 @@ impl Validator {
     /// # Errors
     /// When one cannot be read.
     pub fn new(validation: &Validation, sources: &Sources) -> Result<Self, TrainError> {
-        let windows = sources.windows(&validation.data)?;
-        let mut loader = Loader::start(windows, BATCH as usize, 0, 1, 2);
-        let batches = (0..validation.windows.div_ceil(BATCH)).map(|_| loader.next());
+        Self::read(sources.windows(&validation.data)?, 0, validation.windows)
+    }
+
+    /// Windows of a data set that stages learn from, drawn anew.
+    ///
+    /// # Errors
+    /// As [`Validator::new`].
+    pub fn of_training(data: &str, sources: &Sources) -> Result<Self, TrainError> {
+        Self::read(sources.windows(data)?, BEYOND_TRAINING, OF_TRAINING)
+    }
+
+    fn read(windows: Arc<dyn Windows>, first_batch: u64, count: u64) -> Result<Self, TrainError> {
+        let mut loader = Loader::start(windows, BATCH as usize, first_batch, 1, 2);
+        let batches = (0..count.div_ceil(BATCH)).map(|_| loader.next());
         Ok(Self { batches: batches.collect::<Result<_, _>>()? })
     }
 
