@@ -1,8 +1,8 @@
-//! Uncertainties that mean what they say: after the training the log-variance layers are scaled, so that the mean squared error in
-//! units of the stated deviation is 1 for each component on held-out windows, and not above 1 on windows like those of the training.
+//! Uncertainties that mean what they say: after the training the log-variance layers are scaled, so that the mean squared error of
+//! each component in units of the stated deviation is 1 on held-out windows or on windows like those of the training, and less on the other.
 //!
 //! Held-out frames of a recording may be few, and all from one corner of the place. What the network says of them is what it says of
-//! things it does not know, and may be too cautious by ten times where it is right everywhere else: scaled by that alone, a covariance
+//! things it does not know, and may be too cautious by several times: scaled by that alone, a covariance
 //! that was learnt from thousands of windows would shrink below the errors of these very windows.
 
 use std::collections::{BTreeMap, HashMap};
@@ -93,9 +93,9 @@ pub fn calibrate(
         return Ok(BTreeMap::new());
     }
     let mut of_training = BTreeMap::new();
-    for Shown { windows, heads } in shown {
-        let residuals = windows.residuals(parameters, weights, device)?;
-        of_training.extend(residuals.into_iter().filter(|(head, _)| heads.contains(head)));
+    for shown in shown {
+        let residuals = shown.windows.residuals(parameters, weights, device)?;
+        of_training.extend(residuals.into_iter().filter(|(head, _)| shown.heads.contains(head)));
     }
     let mut found = BTreeMap::new();
     for (head, residuals) in held_out.residuals(parameters, weights, device)? {
