@@ -298,6 +298,28 @@ impl Stage {
 }
 
 impl NetworkTable {
+    /// The preset with `FIELD=VALUE` texts over it; the values are TOML, and a bare word is a string.
+    ///
+    /// # Errors
+    /// When a text has no `=` or a value that is neither TOML nor a word.
+    pub fn with_overrides(preset: &str, texts: &[String]) -> Result<Self, String> {
+        let mut overrides = toml::Table::new();
+        for text in texts {
+            let (field, value) = text.split_once('=').ok_or_else(|| {
+                format!("`{text}` has no `=`: write FIELD=VALUE, for example input_width_px=224")
+            })?;
+            let (field, value) = (field.trim(), value.trim());
+            let is_word = !value.is_empty() && value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+            let parsed = toml::from_str::<toml::Table>(&format!("value = {value}"))
+                .ok()
+                .and_then(|mut table| table.remove("value"))
+                .or_else(|| is_word.then(|| value.into()))
+                .ok_or_else(|| format!("`{text}`: the value is neither TOML nor a word"))?;
+            overrides.insert(field.to_owned(), parsed);
+        }
+        Ok(Self { preset: preset.to_owned(), overrides })
+    }
+
     /// The network.
     ///
     /// # Errors
