@@ -35,8 +35,12 @@ impl Checkpoint {
             ..metadata.clone()
         };
         // A trunk knows no place.
-        let trunk_metadata =
-            CheckpointMetadata { scene: None, map_from_world: None, ..part(Kind::Trunk, None) };
+        let trunk_metadata = CheckpointMetadata {
+            scene: None,
+            map_from_world: None,
+            motion_log_variance_shift: None,
+            ..part(Kind::Trunk, None)
+        };
         let trunk = Self::from_parts(trunk_metadata, trunk, origin.clone())?;
         let bound_to = Some(trunk.content_hash().to_owned());
         let scene = Self::from_parts(part(Kind::Scene, bound_to), scene, origin)?;

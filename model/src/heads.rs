@@ -78,6 +78,19 @@ impl PoseHead {
         })
     }
 
+    /// Adds to the log-variances [translation, rotation], where there are any.
+    ///
+    /// # Errors
+    /// When the device has no memory.
+    pub fn shift_log_variance(&mut self, shift: [f64; 6]) -> Result<()> {
+        let Some(layer) = &self.log_variance else { return Ok(()) };
+        let weight = layer.weight();
+        let shift = Tensor::new(&shift, weight.device())?.to_dtype(weight.dtype())?;
+        let bias = layer.bias().map_or_else(|| Ok(shift.clone()), |bias| bias + &shift)?;
+        self.log_variance = Some(Linear::new(weight.clone(), Some(bias)));
+        Ok(())
+    }
+
     /// (N, inputs) -> (N, 3), (N, 4 or 6) and (N, 6).
     ///
     /// # Errors

@@ -74,8 +74,11 @@ impl LoadedModel {
         let metadata = checkpoint.metadata().clone();
         let model_hash = content_hash(checkpoint.tensors.iter());
         let trunk_hash = content_hash(checkpoint.tensors.iter().filter(|(name, _)| Kind::Trunk.holds(name)));
-        let network =
+        let mut network =
             Network::new(&network, checkpoint.into_var_builder(device)?)?.with_live_heads(metadata.heads);
+        if let Some(shift) = metadata.motion_log_variance_shift {
+            network = network.with_shifted_motion_log_variance(shift)?;
+        }
         Ok(Self { network, trained: metadata.is_trained(), metadata, model_hash, trunk_hash })
     }
 

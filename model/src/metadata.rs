@@ -9,6 +9,8 @@ use crate::preprocessing::Preprocessing;
 
 /// Version of the metadata that this crate writes and reads.
 pub const SCHEMA: u32 = 1;
+/// Bound of each of [`CheckpointMetadata::motion_log_variance_shift`]: deviations 22 000 times larger or smaller.
+const LARGEST_SHIFT: f64 = 20.0;
 
 /// Which part of the network a file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -197,6 +199,10 @@ pub struct CheckpointMetadata {
     pub map_from_world: Option<RigidTransform>,
     /// Which heads are trained.
     pub heads: Heads,
+    /// Added to the log-variances of RCNN1's motion in this place [translation, rotation], where the scene was made for a trunk that
+    /// was trained elsewhere: the natural logarithm of how much larger its squared errors are here than the trunk says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion_log_variance_shift: Option<[f64; 6]>,
     /// Where the weights come from.
     pub provenance: Provenance,
     /// SHA-256 over the tensors in hexadecimal; see [`crate::Checkpoint::content_hash`].
@@ -224,6 +230,7 @@ impl CheckpointMetadata {
             scene: None,
             map_from_world: None,
             heads,
+            motion_log_variance_shift: None,
             provenance,
             content_hash: String::new(),
             trunk_hash: None,
@@ -256,6 +263,16 @@ impl CheckpointMetadata {
         let allowed = Heads::all_of(&self.network).of_kind(self.kind);
         if !self.heads.is_within(allowed) {
             return Some(format!("heads lists {:?}, but the file can hold only {allowed:?}", self.heads));
+        }
+        if let Some(shift) = &self.motion_log_variance_shift {
+            let has_head = self.network.branches.relative && self.network.log_variance;
+            if self.kind == Kind::Trunk || !has_head || !shift.iter().all(|v| v.abs() <= LARGEST_SHIFT) {
+                return Some(format!(
+                    "motion_log_variance_shift {shift:?} in a {} file; numbers within {LARGEST_SHIFT} of 0 expected, in a scene or \
+                     complete file whose network has RCNN1 with log_variance",
+                    self.kind
+                ));
+            }
         }
         if let Some(camera) = &self.camera {
             let focal = [camera.fx_px, camera.fy_px];

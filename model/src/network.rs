@@ -235,6 +235,17 @@ impl Network {
         self
     }
 
+    /// The same network, whose RCNN1 adds `shift` [translation, rotation] to its log-variances; nothing changes without that head.
+    ///
+    /// # Errors
+    /// When the device has no memory.
+    pub fn with_shifted_motion_log_variance(mut self, shift: [f64; 6]) -> Result<Self, ModelError> {
+        if let Some(rcnn1) = &mut self.rcnn1 {
+            rcnn1.shift_log_variance(shift).map_err(failed("shift the log-variances of RCNN1"))?;
+        }
+        Ok(self)
+    }
+
     /// The configuration it was built from.
     pub fn config(&self) -> &NetworkConfig {
         &self.config

@@ -80,6 +80,14 @@ impl Rcnn1 {
         self.fc1.forward(&y)
     }
 
+    /// Adds to the log-variances of the motion [translation, rotation].
+    ///
+    /// # Errors
+    /// When the device has no memory.
+    pub fn shift_log_variance(&mut self, shift: [f64; 6]) -> Result<()> {
+        self.head.shift_log_variance(shift)
+    }
+
     /// fc1 (N, fc1) -> relative pose.
     ///
     /// # Errors

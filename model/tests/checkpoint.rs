@@ -186,6 +186,39 @@ fn trunk_and_scene_make_the_complete_model_again() {
 }
 
 #[test]
+fn a_scene_says_how_uncertain_the_trunks_motion_is_in_its_place() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    let config = tiny();
+    let complete = trained(&config);
+    let shift = [2.5, -1.0, 0.5, 3.0, 0.0, 4.25];
+    let shifted = complete.clone().with_metadata(|m| m.motion_log_variance_shift = Some(shift)).unwrap();
+    let (trunk, scene) = shifted.split().unwrap();
+    assert_eq!(trunk.metadata().motion_log_variance_shift, None, "a trunk knows no place");
+    complete.save(&at("complete")).unwrap();
+    trunk.save(&at("trunk")).unwrap();
+    scene.save(&at("scene")).unwrap();
+
+    let output = |trunk: &str, scene: Option<&str>| {
+        let model = LoadedModel::load(&at(trunk), scene.map(at).as_deref()).unwrap();
+        let output = model.network.step(&frame_for(&config, 0), &mut model.network.initial_state()).unwrap();
+        ((model.model_hash, model.trunk_hash), output)
+    };
+    let (hashes, before) = output("complete", None);
+    let (shifted_hashes, after) = output("trunk", Some("scene"));
+    assert_eq!(hashes, shifted_hashes, "the tensors are the same");
+    assert_eq!((&before.global, &before.fused), (&after.global, &after.fused));
+    let (before, after) = (before.relative.unwrap(), after.relative.unwrap());
+    assert_eq!((before.translation_m, &before.rotation_raw), (after.translation_m, &after.rotation_raw));
+    let (before, after) = (before.log_variance.unwrap(), after.log_variance.unwrap());
+    for (i, shift) in shift.iter().enumerate() {
+        assert!((after[i] - before[i] - shift).abs() < 1e-5, "{before:?} {after:?}");
+    }
+    let alone = output("trunk", None).1.relative.unwrap();
+    assert_eq!(alone.log_variance, Some(before), "without the place, what the trunk says");
+}
+
+#[test]
 fn a_scene_of_another_trunk_is_refused_with_both_hashes() {
     let (trunk, _) = trained(&tiny()).split().unwrap();
     let other = untrained::checkpoint(&tiny(), 1, Preprocessing::default()).unwrap();
@@ -322,7 +355,7 @@ fn other_schemas_and_unknown_fields_are_named() {
 #[test]
 fn metadata_that_contradicts_itself_is_refused() {
     type Edit = fn(&mut serde_json::Value);
-    let edits: [(Edit, &str); 8] = [
+    let edits: [(Edit, &str); 10] = [
         (|m| m["network"]["k"] = json!(0), "`k` is 0"),
         (|m| m["trunk_hash"] = json!("00"), "must not"),
         (|m| m["kind"] = json!("scene"), "trunk_hash"),
@@ -330,6 +363,16 @@ fn metadata_that_contradicts_itself_is_refused() {
         (|m| m["map_from_world"]["rotation_xyzw"] = json!([0.0, 0.0, 0.0, 0.5]), "unit quaternion"),
         (|m| m["network"]["log_variance"] = json!(false), "heads lists"),
         (|m| m["network"]["branches"]["global"] = json!(false), "fusion only with both"),
+        (|m| m["motion_log_variance_shift"] = json!([0, 0, 0, 0, 0, 21]), "within 20 of 0"),
+        (
+            |m| {
+                m["motion_log_variance_shift"] = json!([0, 0, 0, 0, 0, 1]);
+                m["kind"] = json!("trunk");
+                m["heads"]["global"] = json!({"pose": false, "log_variance": false});
+                m["heads"]["fused"] = m["heads"]["global"].clone();
+            },
+            "in a trunk file",
+        ),
         (
             |m| {
                 m["camera"] = json!({"width_px": 640, "height_px": 480, "fx_px": -525.0, "fy_px": 525.0,

@@ -134,7 +134,7 @@ mod tests {
         for (text, word) in [
             ("input_width_px", "FIELD=VALUE"),
             ("input_width_px=8", "32..=2048"),
-            ("input_width_px=wide", "integer"),
+            ("input_width_px=wide", "`input_width_px = \"wide\"`"),
             ("colour=blue", "colour"),
             ("width=[", "neither TOML nor a word"),
             ("width=", "neither TOML nor a word"),

@@ -334,7 +334,7 @@ fn assert_near(frame: usize, found: &Pose, expected: &Pose) {
 #[test]
 fn a_scene_is_added_to_a_trunk_that_stays_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
-    let recipe = write(folder.path(), "all-stages.toml", RECIPE);
+    let recipe = write(folder.path(), "all-stages.toml", &RECIPE.replace("windows = 24", "windows = 32"));
     let out = folder.path().join("run");
     assert_ok(&train(&recipe, &out, &[]));
     let trunk = out.join("trunk.safetensors");
@@ -370,6 +370,28 @@ cached_windows = 8
     let model = LoadedModel::load(&trunk, Some(&scene)).unwrap();
     assert!(model.metadata.heads.relative.pose && model.metadata.heads.fused.pose);
     assert!(!model.metadata.heads.fused.log_variance, "nothing was held out to calibrate it on");
+    assert_eq!(model.metadata.motion_log_variance_shift, None, "nor to see how wrong the trunk is here");
+
+    // With held-out windows the scene says how much more uncertain the trunk's motion is in its place.
+    let judged = format!("{other_room}\n[validation]\ndata = \"room\"\nwindows = 24\nevery_steps = 3\n")
+        .replace("fused = 1.0 }", "fused = 1.0, uncertainty = 0.1 }")
+        // Motions twice as large as any that the trunk has seen.
+        .replace("strides = [2]", "strides = [8]");
+    let judged = write(folder.path(), "judged.toml", &judged);
+    let scene = folder.path().join("judged.safetensors");
+    let mut command = program();
+    command.arg("scene").arg("--trunk").arg(&trunk).arg("--config").arg(&judged);
+    command.arg("--run").arg(folder.path().join("judged-run")).arg("--out").arg(&scene);
+    let output = command.output().unwrap();
+    assert_ok(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("uncertainty of the trunk's motion in this place"), "{said}");
+    let trunk_alone = LoadedModel::load(&trunk, None).unwrap();
+    let model = LoadedModel::load(&trunk, Some(&scene)).unwrap();
+    assert_eq!(model.trunk_hash, trunk_alone.trunk_hash);
+    let shift = model.metadata.motion_log_variance_shift.unwrap();
+    assert!(shift.iter().all(|v| (0.0..=16.0).contains(v)), "{shift:?}");
+    assert!(shift.iter().any(|v| *v > 0.0), "the trunk has not seen such motions: {shift:?}");
 
     let greedy = other_room.replace("[\"rcnn2\", \"fcfl\"]", "[\"cnn1\", \"rcnn2\"]");
     refused(

@@ -22,6 +22,8 @@ use crate::loss::Head;
 const FEWEST: usize = 50;
 /// Squared errors beyond this many variances count as this many: a few outliers shall not blow up every covariance.
 const LARGEST_SQUARED: f64 = 100.0;
+/// A motion more uncertain than this is not known at all; deviations 3000 times those that the trunk says.
+const LARGEST_MOTION_SHIFT: f64 = 16.0;
 
 /// What the calibration of a head found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -113,6 +115,25 @@ pub fn calibrate(
     Ok(found)
 }
 
+/// How much more uncertain the motion of a trunk is in a place that it was not trained in than it says itself; none without
+/// enough residuals. `windows` are of the place: to a frozen RCNN1 all of them are new.
+///
+/// The shifts are 0 or more: where the trunk does better than it says, the place may be the one it was trained in.
+///
+/// # Errors
+/// When the network cannot be run.
+pub fn measure_motion(
+    parameters: &Parameters,
+    windows: &Validator,
+    device: &Device,
+) -> Result<Option<Calibration>, TrainError> {
+    let weights = LossWeights { relative: 1.0, ..LossWeights::default() };
+    let residuals = windows.residuals(parameters, weights, device)?.remove(&Head::Relative);
+    let residuals = Normalised::of(&residuals.unwrap_or_default());
+    let shift = |component| residuals.shift(component).clamp(0.0, LARGEST_MOTION_SHIFT);
+    Ok(residuals.calibration(std::array::from_fn(shift)))
+}
+
 /// First component of the names of a head's layers.
 fn part_of(head: Head) -> &'static str {
     match head {
@@ -126,18 +147,10 @@ fn part_of(head: Head) -> &'static str {
 /// windows and on those of the training.
 fn fit(held_out: &[Residual], training: &[Residual]) -> Option<Calibration> {
     let (held_out, training) = (Normalised::of(held_out), Normalised::of(training));
-    if held_out.0.len() < FEWEST {
-        return None;
-    }
     let shift = std::array::from_fn(|component| held_out.shift(component).max(training.shift(component)));
-    let nees = |set: &Normalised| [set.nees(&[0.0; 6]), set.nees(&shift)];
-    Some(Calibration {
-        residuals: held_out.0.len(),
-        shift,
-        nees: nees(&held_out),
-        training_nees: (!training.0.is_empty()).then(|| nees(&training)),
-        within_sigmas: [1.0, 2.0, 3.0].map(|sigmas| held_out.within(sigmas, &shift)),
-    })
+    let calibration = held_out.calibration(shift)?;
+    let training_nees = (!training.0.is_empty()).then(|| training.nees_around(&shift));
+    Some(Calibration { training_nees, ..calibration })
 }
 
 /// Squared errors of the components in units of their stated variances.
@@ -164,6 +177,22 @@ impl Normalised {
             scale = (scale * bounded / self.0.len() as f64).max(1e-12);
         }
         scale.ln()
+    }
+
+    /// What there is to say of a shift; none of too few residuals.
+    fn calibration(&self, shift: [f64; 6]) -> Option<Calibration> {
+        (self.0.len() >= FEWEST).then(|| Calibration {
+            residuals: self.0.len(),
+            shift,
+            nees: self.nees_around(&shift),
+            training_nees: None,
+            within_sigmas: [1.0, 2.0, 3.0].map(|sigmas| self.within(sigmas, &shift)),
+        })
+    }
+
+    /// Before and after a shift.
+    fn nees_around(&self, shift: &[f64; 6]) -> [f64; 2] {
+        [self.nees(&[0.0; 6]), self.nees(shift)]
     }
 
     fn nees(&self, shift: &[f64; 6]) -> f64 {

@@ -7,12 +7,13 @@ use anyhow::Context as _;
 use clap::Args;
 use grnet_model::{Checkpoint, Heads};
 
-use super::calibrate::{Calibration, Shown, calibrate};
+use super::calibrate::{Calibration, Shown, calibrate, measure_motion};
 use super::config::Recipe;
 use super::export::{self, Facts};
 use super::initial::{self, Initial};
 use super::sources::Sources;
 use super::trainer::{Outcome, Trainer};
+use super::validate::Validator;
 use crate::device::{DeviceArgs, DeviceName};
 use crate::loss::Head;
 use crate::run::{RunFolder, RunIdentity, stop_flag};
@@ -79,6 +80,7 @@ pub struct Trained {
     /// The complete checkpoint.
     pub checkpoint: Checkpoint,
     calibration: BTreeMap<Head, Calibration>,
+    motion: Option<Calibration>,
 }
 
 impl Run {
@@ -125,12 +127,20 @@ impl Run {
         let trained = export::trained_heads(heads, &recipe.stages);
         let steps = trainer.steps();
         let (mut parameters, validator) = trainer.into_parts();
+        let newly = newly(trained, heads, recipe);
         let calibration = match &validator {
             Some(validator) => {
                 let shown = Shown::of(&recipe.stages, &sources)?;
-                calibrate(&mut parameters, validator, &shown, newly(trained, heads, recipe), &device)?
+                calibrate(&mut parameters, validator, &shown, newly, &device)?
             }
             None => BTreeMap::new(),
+        };
+        let is_trunk_frozen =
+            trained.relative.log_variance && !newly.relative.pose && network.branches.global;
+        let place = is_trunk_frozen.then(|| Sources::of_whole_recording(recipe, &network, &preprocessing));
+        let motion = match place.transpose()?.flatten() {
+            Some(windows) => measure_motion(&parameters, &Validator::of(windows)?, &device)?,
+            None => None,
         };
         let facts = Facts {
             heads: export::only_calibrated(trained, &calibration, heads),
@@ -138,9 +148,10 @@ impl Run {
             fingerprint: sources.fingerprint(),
             steps,
             calibration: calibration.clone(),
+            motion: motion.clone(),
         };
         let checkpoint = export::checkpoint(&parameters, recipe, &facts, &metadata)?;
-        Ok(Some(Trained { checkpoint, calibration }))
+        Ok(Some(Trained { checkpoint, calibration, motion }))
     }
 
     /// What decides about the weights beside recipe, data and threads.
@@ -199,6 +210,13 @@ impl Trained {
             if let Some([before, after]) = found.training_nees {
                 println!("  on windows as in the training: NEES {before:.1} before, {after:.1} after");
             }
+        }
+        if let Some(Calibration { nees: [before, after], within_sigmas: [.., three], .. }) = &self.motion {
+            println!(
+                "uncertainty of the trunk's motion in this place: NEES {before:.1} as the trunk says, {after:.1} as the scene \
+                 corrects it (6 is right); within 3 sigmas {:.1} % (99.7 is right)",
+                100.0 * three
+            );
         }
     }
 }

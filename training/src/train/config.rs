@@ -327,9 +327,14 @@ impl NetworkTable {
     pub fn config(&self) -> Result<NetworkConfig, String> {
         let preset = NetworkConfig::preset(&self.preset).map_err(|error| error.to_string())?;
         let mut table = toml::Table::try_from(&preset).map_err(|error| error.to_string())?;
-        table.extend(self.overrides.clone());
-        let config: NetworkConfig =
-            table.try_into().map_err(|error: toml::de::Error| error.message().to_owned())?;
+        let mut config = preset;
+        for (field, value) in &self.overrides {
+            table.insert(field.clone(), value.clone());
+            config = table
+                .clone()
+                .try_into()
+                .map_err(|error: toml::de::Error| format!("`{field} = {value}`: {}", error.message()))?;
+        }
         config.validate().map_err(|error| error.to_string())?;
         Ok(config)
     }

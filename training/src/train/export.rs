@@ -27,6 +27,8 @@ pub struct Facts {
     pub steps: u64,
     /// What the calibration found.
     pub calibration: BTreeMap<Head, Calibration>,
+    /// What was found of the motion of a frozen trunk.
+    pub motion: Option<Calibration>,
 }
 
 /// The heads that a recipe leaves trained: those that its stages weigh, unless a part below them changed afterwards without
@@ -89,6 +91,7 @@ pub fn checkpoint(
                 facts.calibration.iter().map(|(head, c)| (head.to_string(), c)).collect::<BTreeMap<_, _>>()
             ),
         ),
+        ("motion", json!(facts.motion)),
     ];
     let record = record.map(|(key, value)| (key.to_owned(), value));
     let scene = recipe.scene.as_ref().map(|scene| SceneInfo {
@@ -103,6 +106,7 @@ pub fn checkpoint(
         camera: facts.camera.or(base.camera),
         scene: scene.filter(|_| facts.heads.global.pose || facts.heads.fused.pose),
         map_from_world: None,
+        motion_log_variance_shift: facts.motion.as_ref().map(|motion| motion.shift),
         provenance: Provenance::Trained(record.into()),
         trunk_hash: None,
         ..base.clone()

@@ -131,14 +131,7 @@ impl Sources {
         network: &NetworkConfig,
         preprocessing: &Preprocessing,
     ) -> Result<Self, TrainError> {
-        let mut opening = Opening {
-            recipe,
-            size_px: (network.input_width_px as u32, network.input_height_px as u32),
-            preprocessing,
-            windows: BTreeMap::new(),
-            cameras: BTreeMap::new(),
-            recordings: Vec::new(),
-        };
+        let mut opening = Opening::new(recipe, network, preprocessing);
         let named = recipe.stages.iter().map(|stage| &stage.data);
         let names: BTreeSet<&String> = named.chain(recipe.validation.iter().map(|v| &v.data)).collect();
         for name in names {
@@ -150,6 +143,25 @@ impl Sources {
         let poses = statistics::sample(windows[last].as_ref(), SAMPLE)?;
         let camera = cameras.get(last).copied().flatten().as_ref().map(crate::init::intrinsics);
         Ok(Self { windows, normalisation: Normalisation::of(&poses), camera })
+    }
+
+    /// Windows like those of the validation from all frames of its recording; none without a validation.
+    ///
+    /// # Errors
+    /// As [`Sources::open`].
+    pub fn of_whole_recording(
+        recipe: &Recipe,
+        network: &NetworkConfig,
+        preprocessing: &Preprocessing,
+    ) -> Result<Option<Arc<dyn Windows>>, TrainError> {
+        let Some(validation) = &recipe.validation else { return Ok(None) };
+        let mut recipe = recipe.clone();
+        if let Some(DataConfig::Recorded(recorded)) = recipe.data.get_mut(&validation.data) {
+            (recorded.hold_out, recorded.held_out) = (0, false);
+        }
+        let mut opening = Opening::new(&recipe, network, preprocessing);
+        opening.open(&validation.data, &mut Vec::new())?;
+        Ok(opening.windows.remove(&validation.data))
     }
 
     /// The windows of a data set.
@@ -196,7 +208,18 @@ struct Opening<'a> {
     recordings: Vec<Arc<RecordedWindows>>,
 }
 
-impl Opening<'_> {
+impl<'a> Opening<'a> {
+    fn new(recipe: &'a Recipe, network: &NetworkConfig, preprocessing: &'a Preprocessing) -> Self {
+        Self {
+            recipe,
+            size_px: (network.input_width_px as u32, network.input_height_px as u32),
+            preprocessing,
+            windows: BTreeMap::new(),
+            cameras: BTreeMap::new(),
+            recordings: Vec::new(),
+        }
+    }
+
     /// Opens a data set and those that it is mixed from; `above` are the mixtures that led here.
     fn open(&mut self, name: &str, above: &mut Vec<String>) -> Result<(), TrainError> {
         if self.windows.contains_key(name) {

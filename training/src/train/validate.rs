@@ -18,7 +18,7 @@ use crate::loss::{Head, Loss};
 
 /// Windows in one forward pass.
 const BATCH: u64 = 8;
-/// Windows of a data set that stages learn from.
+/// Windows of a data set that stages learn from, and of a whole recording.
 const OF_TRAINING: u64 = 96;
 /// A batch that no training comes to.
 const BEYOND_TRAINING: u64 = 1 << 40;
@@ -53,6 +53,14 @@ impl Validator {
     /// As [`Validator::new`].
     pub fn of_training(data: &str, sources: &Sources) -> Result<Self, TrainError> {
         Self::read(sources.windows(data)?, BEYOND_TRAINING, OF_TRAINING)
+    }
+
+    /// The first windows of a data set.
+    ///
+    /// # Errors
+    /// As [`Validator::new`].
+    pub fn of(windows: Arc<dyn Windows>) -> Result<Self, TrainError> {
+        Self::read(windows, 0, OF_TRAINING)
     }
 
     fn read(windows: Arc<dyn Windows>, first_batch: u64, count: u64) -> Result<Self, TrainError> {
