@@ -129,9 +129,14 @@ pub fn measure_motion(
 ) -> Result<Option<Calibration>, TrainError> {
     let weights = LossWeights { relative: 1.0, ..LossWeights::default() };
     let residuals = windows.residuals(parameters, weights, device)?.remove(&Head::Relative);
-    let residuals = Normalised::of(&residuals.unwrap_or_default());
+    Ok(widen(&residuals.unwrap_or_default()))
+}
+
+/// The shifts of 0 or more with which the squared errors are no larger than stated.
+fn widen(residuals: &[Residual]) -> Option<Calibration> {
+    let residuals = Normalised::of(residuals);
     let shift = |component| residuals.shift(component).clamp(0.0, LARGEST_MOTION_SHIFT);
-    Ok(residuals.calibration(std::array::from_fn(shift)))
+    residuals.calibration(std::array::from_fn(shift))
 }
 
 /// First component of the names of a head's layers.
@@ -263,6 +268,15 @@ mod tests {
         ];
         let shown = last_shown(&stages);
         assert_eq!(shown, BTreeMap::from([("near", vec![Head::Global]), ("far", vec![Head::Fused])]));
+    }
+
+    #[test]
+    fn a_trunk_that_errs_less_than_it_says_stays_as_cautious() {
+        let found = widen(&drawn(0.01, 0.05, 4000)).unwrap();
+        assert!(found.shift.iter().all(|shift| (shift - 25f64.ln()).abs() < 0.15), "{found:?}");
+        assert_eq!(widen(&drawn(0.05, 0.01, 4000)).unwrap().shift, [0.0; 6]);
+        assert_eq!(widen(&drawn(1e-9, 1.0, 4000)).unwrap().shift, [LARGEST_MOTION_SHIFT; 6]);
+        assert_eq!(widen(&drawn(0.01, 0.05, FEWEST - 1)), None);
     }
 
     #[test]
