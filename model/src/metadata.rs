@@ -9,8 +9,9 @@ use crate::preprocessing::Preprocessing;
 
 /// Version of the metadata that this crate writes and reads.
 pub const SCHEMA: u32 = 1;
-/// Bound of each of [`CheckpointMetadata::motion_log_variance_shift`]: deviations 22 000 times larger or smaller.
-const LARGEST_SHIFT: f64 = 20.0;
+/// Bound of each of [`CheckpointMetadata::motion_log_variance_shift`]: with deviations 3000 times those that the trunk says, the
+/// motion is not known at all.
+pub const LARGEST_MOTION_SHIFT: f64 = 16.0;
 
 /// Which part of the network a file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -266,9 +267,10 @@ impl CheckpointMetadata {
         }
         if let Some(shift) = &self.motion_log_variance_shift {
             let has_head = self.network.branches.relative && self.network.log_variance;
-            if self.kind == Kind::Trunk || !has_head || !shift.iter().all(|v| v.abs() <= LARGEST_SHIFT) {
+            if self.kind == Kind::Trunk || !has_head || !shift.iter().all(|v| v.abs() <= LARGEST_MOTION_SHIFT)
+            {
                 return Some(format!(
-                    "motion_log_variance_shift {shift:?} in a {} file; numbers within {LARGEST_SHIFT} of 0 expected, in a scene or \
+                    "motion_log_variance_shift {shift:?} in a {} file; numbers within {LARGEST_MOTION_SHIFT} of 0 expected, in a scene or \
                      complete file whose network has RCNN1 with log_variance",
                     self.kind
                 ));

@@ -363,7 +363,7 @@ fn metadata_that_contradicts_itself_is_refused() {
         (|m| m["map_from_world"]["rotation_xyzw"] = json!([0.0, 0.0, 0.0, 0.5]), "unit quaternion"),
         (|m| m["network"]["log_variance"] = json!(false), "heads lists"),
         (|m| m["network"]["branches"]["global"] = json!(false), "fusion only with both"),
-        (|m| m["motion_log_variance_shift"] = json!([0, 0, 0, 0, 0, 21]), "within 20 of 0"),
+        (|m| m["motion_log_variance_shift"] = json!([0, 0, 0, 0, 0, 17]), "within 16 of 0"),
         (
             |m| {
                 m["motion_log_variance_shift"] = json!([0, 0, 0, 0, 0, 1]);

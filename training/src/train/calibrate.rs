@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use candle_core::{Device, Tensor};
 use grnet_model::Heads;
+use grnet_model::metadata::LARGEST_MOTION_SHIFT;
 use serde::Serialize;
 
 use super::TrainError;
@@ -22,8 +23,6 @@ use crate::loss::Head;
 const FEWEST: usize = 50;
 /// Squared errors beyond this many variances count as this many: a few outliers shall not blow up every covariance.
 const LARGEST_SQUARED: f64 = 100.0;
-/// A motion more uncertain than this is not known at all; deviations 3000 times those that the trunk says.
-const LARGEST_MOTION_SHIFT: f64 = 16.0;
 
 /// What the calibration of a head found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
